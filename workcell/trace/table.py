@@ -1,0 +1,572 @@
+"""The trace as a table: one row a control tick, safe against a kill, checked against damage.
+
+In comes a row a tick; out come `trace.parquet` and, while the run lasts, the journal
+`trace.arrows` (an Arrow stream of small batches, each handed to the operating system at once, so
+that a kill costs at most the batch being filled). Columns and their types follow from
+`workcell.signals`. What is read back is verified: every journal batch carries a CRC-32, the
+parquet file checksums of its pages and a hash of rows and metadata.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+import warnings
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from operator import attrgetter, itemgetter
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from workcell.errors import TraceError
+from workcell.signals import SCHEMA_VERSION, Column, Layout, columns
+
+TRACE_NAME = "trace.parquet"
+JOURNAL_NAME = "trace.arrows"
+
+_CRC_KEY = b"workcell_crc32"
+_INTEGRITY_KEY = b"integrity_sha256"
+_LAYOUT_KEYS = ("schema_version", "arms", "joints", "nq", "nv", "pairs")
+
+_ROW_GROUP_ROWS = 8192
+"""Rows a parquet row group holds: chosen so that a conversion needs some ten megabytes whatever
+the length of the run, while columns stay long enough to compress."""
+
+_Row = Mapping[str, object] | Any
+_Values = tuple[tuple[Any, ...], tuple[Any, ...]]
+
+
+class TraceWriter:
+    """Writes one trace, a row a tick.
+
+    Args:
+        folder: Run folder, made if it is missing. A trace already in it is removed, so that a
+            folder never mixes two runs.
+        layout: Arms, joints and pairs of the scene.
+        metadata: Further entries of the file metadata (versions, scenario hash, settings, ...).
+        period_s: Length of a control tick.
+        flush_s: Simulated time after which rows go to the journal; what a kill may cost.
+        flush_wall_s: The same in wall-clock time, for runs that wait for the clock; None never
+            looks at one.
+
+    Raises:
+        TraceError: Metadata that the layout already sets, or a journal that cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        layout: Layout,
+        metadata: Mapping[str, str],
+        period_s: float,
+        *,
+        flush_s: float = 0.5,
+        flush_wall_s: float | None = None,
+    ):
+        self.path = Path(folder) / TRACE_NAME
+        self.journal = Path(folder) / JOURNAL_NAME
+        self._columns = columns(layout)
+        self._arms = layout.arms
+        self._schema = schema(layout, metadata)
+        self._capacity = max(1, int(flush_s / period_s))
+        self._flush_wall_s = flush_wall_s
+
+        vectors = [c for c in self._columns if c.width is not None]
+        self._vector_names = tuple(c.name for c in vectors)
+        self._widths = tuple(c.width for c in vectors)
+        self._nullable_vectors = [
+            (k, c.name, np.zeros(c.width or 0)) for k, c in enumerate(vectors) if c.signal.nullable
+        ]
+        self._block = np.zeros((self._capacity, sum(c.width or 0 for c in vectors)))
+        self._null = np.zeros((self._capacity, len(vectors)), dtype=bool)
+        self._scalars: list[tuple[Any, ...]] = []
+        self._take: Callable[[_Row], _Values] | None = None
+
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        self.path.unlink(missing_ok=True)
+        try:
+            self._sink = open(self.journal, "wb")  # noqa: SIM115 (closed by close)
+            self._stream = pa.ipc.new_stream(self._sink, self._schema)
+            self._sink.flush()
+        except OSError as error:
+            raise TraceError(f"{self.journal}: cannot be written: {error}") from error
+        self._schema_crc = zlib.crc32(self._schema.serialize())
+        self._flushed_at_s = time.monotonic() if flush_wall_s is not None else 0.0
+        self._closed = False
+
+    def append(self, row: _Row) -> None:
+        """Adds one row.
+
+        Args:
+            row: A mapping from column name to value, or an object with an attribute for every
+                signal of the cell and `arms`, a mapping from arm name to an object with an
+                attribute for every signal of an arm. Vectors are copied. None is null.
+
+        Raises:
+            TraceError: A column is missing, unknown, of the wrong length or type.
+        """
+        if self._closed:
+            raise TraceError(f"{self.path}: a row was added after the trace was closed")
+        try:
+            if self._take is None:
+                self._take = self._bind(row)
+            scalars, vectors = self._take(row)
+        except (KeyError, AttributeError) as error:
+            raise TraceError(f"{self.path}: the row has no column {error}") from error
+        index = len(self._scalars)
+        if self._nullable_vectors:
+            filled = list(vectors)
+            for k, _, blank in self._nullable_vectors:
+                if filled[k] is None:
+                    filled[k] = blank
+                    self._null[index, k] = True
+            vectors = filled
+        try:
+            if tuple(map(len, vectors)) != self._widths:
+                raise ValueError("wrong length")
+            np.concatenate(vectors, out=self._block[index])
+        except (TypeError, ValueError) as error:
+            raise TraceError(f"{self.path}: {self._vector_fault(vectors)}") from error
+        self._scalars.append(scalars)
+        if index + 1 == self._capacity or (
+            self._flush_wall_s is not None
+            and time.monotonic() - self._flushed_at_s >= self._flush_wall_s
+        ):
+            self.flush()
+
+    def flush(self) -> None:
+        """Hands the rows so far to the operating system; they outlive this process from then on."""
+        if not self._scalars:
+            return
+        batch = self._batch()
+        checksum = zlib.crc32(batch.serialize(), self._schema_crc)
+        try:
+            self._stream.write_batch(batch, custom_metadata={_CRC_KEY: b"%08x" % checksum})
+            self._sink.flush()
+        except OSError as error:
+            raise TraceError(f"{self.journal}: cannot be written: {error}") from error
+        self._scalars.clear()
+        self._null[:] = False
+        if self._flush_wall_s is not None:
+            self._flushed_at_s = time.monotonic()
+
+    def close(self) -> Path:
+        """Turns the journal into `trace.parquet` and removes it. Closing twice does no harm.
+
+        Returns:
+            Path of the parquet file, which appears whole or not at all.
+        """
+        if not self._closed:
+            self.flush()
+            self._stream.close()
+            self._sink.close()
+            self._closed = True
+            convert(self.journal, self.path)
+            self.journal.unlink()
+        return self.path
+
+    def __enter__(self) -> TraceWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _bind(self, row: _Row) -> Callable[[_Row], _Values]:
+        """Looks once at how rows are built and returns the fastest way to take them apart."""
+        scalar_columns = [c for c in self._columns if c.width is None]
+        vector_columns = [c for c in self._columns if c.width is not None]
+        if isinstance(row, Mapping):
+            unknown = sorted(set(row) - {c.name for c in self._columns})
+            if unknown:
+                raise TraceError(f"{self.path}: the row has unknown columns {', '.join(unknown)}")
+            scalar, vector = (
+                itemgetter(*(c.name for c in kind)) for kind in (scalar_columns, vector_columns)
+            )
+            return lambda row: (scalar(row), vector(row))
+
+        def cell(kind: list[Column]) -> attrgetter[tuple[Any, ...]]:
+            return attrgetter(*(c.signal.name for c in kind if c.arm is None))
+
+        def arm(kind: list[Column]) -> attrgetter[tuple[Any, ...]]:
+            return attrgetter(*(c.signal.name for c in kind if c.arm == self._arms[0]))
+
+        if not self._arms:
+            only_scalar, only_vector = cell(scalar_columns), cell(vector_columns)
+            return lambda row: (only_scalar(row), only_vector(row))
+        cell_scalar, cell_vector = cell(scalar_columns), cell(vector_columns)
+        arm_scalar, arm_vector = arm(scalar_columns), arm(vector_columns)
+
+        def take(row: _Row) -> _Values:
+            scalars, vectors = cell_scalar(row), cell_vector(row)
+            for name in self._arms:
+                record = row.arms[name]
+                scalars += arm_scalar(record)
+                vectors += arm_vector(record)
+            return scalars, vectors
+
+        return take
+
+    def _vector_fault(self, vectors: list[Any] | tuple[Any, ...]) -> str:
+        for name, width, value in zip(self._vector_names, self._widths, vectors, strict=True):
+            if value is None:
+                return f"column {name} may not be null"
+            if np.shape(value) != (width,):
+                return f"column {name} has shape {np.shape(value)}, the layout asks for ({width},)"
+            if not np.can_cast(np.asarray(value).dtype, float, "same_kind"):
+                return f"column {name} holds {np.asarray(value).dtype}, not numbers"
+        return "a vector column cannot be stored"
+
+    def _batch(self) -> pa.RecordBatch:
+        count = len(self._scalars)
+        scalars = iter(zip(*self._scalars, strict=True))
+        arrays, start, vector = [], 0, 0
+        for column, field in zip(self._columns, self._schema, strict=True):
+            if column.width is None:
+                try:
+                    array = pa.array(next(scalars), field.type)
+                except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError) as error:
+                    raise TraceError(
+                        f"{self.path}: column {column.name} takes {field.type}: {error}"
+                    ) from error
+            else:
+                stop = start + column.width
+                array = _list_array(self._block[:count, start:stop], self._null[:count, vector])
+                start, vector = stop, vector + 1
+            if array.null_count and not field.nullable:
+                raise TraceError(f"{self.path}: column {column.name} may not be null")
+            arrays.append(array)
+        return pa.record_batch(arrays, schema=self._schema)
+
+
+def schema(layout: Layout, metadata: Mapping[str, str]) -> pa.Schema:
+    """The Arrow schema of a layout's columns, with the file metadata attached."""
+    taken = sorted(set(metadata) & set(_LAYOUT_KEYS))
+    if taken:
+        raise TraceError(f"metadata keys {', '.join(taken)} are set by the layout")
+    entries = {
+        "schema_version": str(SCHEMA_VERSION),
+        "arms": json.dumps(layout.arms),
+        "joints": json.dumps(layout.joints),
+        "nq": str(layout.nq),
+        "nv": str(layout.nv),
+        "pairs": json.dumps(layout.pairs),
+        **metadata,
+    }
+    fields = []
+    for column in columns(layout):
+        kind = pa.type_for_alias(column.signal.dtype)
+        if column.width is not None:
+            kind = pa.list_(pa.field("element", kind, nullable=False))
+        fields.append(pa.field(column.name, kind, nullable=column.signal.nullable))
+    return pa.schema(fields, metadata=entries)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A trace read back; `trace["time_s"]` is a column as a NumPy array."""
+
+    table: pa.Table
+    """The rows, as stored."""
+    source: Path
+    """The file they were read from."""
+    torn_bytes: int = 0
+    """Bytes of an unfinished last batch that were dropped: more than 0 only after a kill."""
+
+    def __len__(self) -> int:
+        return self.table.num_rows
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Column as an array: (T,) for a scalar, (T, n) for a vector.
+
+        Null floats are NaN, null indices -1; strings come as an object array.
+        """
+        if name not in self.table.column_names:
+            known = ", ".join(self.table.column_names)
+            raise TraceError(f"{self.source}: no column {name!r}; there are {known}")
+        array = self.table.column(name).combine_chunks()
+        if pa.types.is_list(array.type):
+            return self._vector(name, array)
+        if pa.types.is_string(array.type):
+            return array.to_numpy(zero_copy_only=False)
+        if pa.types.is_integer(array.type) and array.null_count:
+            array = array.fill_null(-1)
+        return array.to_numpy(zero_copy_only=False)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Arms, joints and pairs the trace was written for."""
+        entries = self.metadata
+        return Layout(
+            arms=tuple(entries["arms"]),
+            joints=tuple(entries["joints"]),
+            nq=int(entries["nq"]),
+            nv=int(entries["nv"]),
+            pairs=tuple((first, second) for first, second in entries["pairs"]),
+        )
+
+    @cached_property
+    def metadata(self) -> dict[str, Any]:
+        """File metadata; entries that are JSON objects or lists are parsed, the rest is text."""
+        return {
+            key.decode(): json.loads(value) if value[:1] in (b"{", b"[") else value.decode()
+            for key, value in (self.table.schema.metadata or {}).items()
+            if key != _INTEGRITY_KEY
+        }
+
+    def digest(self) -> str:
+        """SHA-256 over columns and rows, the same however the rows were batched.
+
+        Metadata is left out: equal motions on two machines have equal digests.
+        """
+        digest = _Digest(self.table.schema)
+        for batch in self.table.to_batches():
+            digest.update(batch)
+        return digest.hexdigest()
+
+    def _vector(self, name: str, array: pa.ListArray) -> np.ndarray:
+        width = next(c.width for c in columns(self.layout) if c.name == name)
+        assert width is not None  # A list column is a vector signal: `load` compared the schema.
+        values = array.flatten().to_numpy(zero_copy_only=False)
+        if not array.null_count:
+            return values.reshape(len(array), width)
+        whole = np.full((len(array), width), np.nan)
+        whole[array.is_valid().to_numpy(zero_copy_only=False)] = values.reshape(-1, width)
+        return whole
+
+
+def load(path: Path | str) -> Trace:
+    """Reads a trace and verifies it.
+
+    Args:
+        path: A run folder, a parquet file or a journal. A folder without a parquet file, left by a
+            run that was killed, gives the intact batches of its journal; an unfinished last batch
+            is dropped with a warning and counted in `Trace.torn_bytes`.
+
+    Raises:
+        TraceError: There is no trace, it is damaged, or it was written by a newer version.
+    """
+    path = Path(path)
+    if path.is_dir():
+        found = [path / name for name in (TRACE_NAME, JOURNAL_NAME) if (path / name).is_file()]
+        if not found:
+            raise TraceError(f"{path}: holds neither {TRACE_NAME} nor {JOURNAL_NAME}")
+        path = found[0]
+    elif not path.is_file():
+        raise TraceError(f"{path}: no such file or folder")
+    if path.suffix == Path(JOURNAL_NAME).suffix:
+        journal = _Journal(path)
+        trace = Trace(pa.Table.from_batches(journal, journal.schema), path, journal.torn_bytes)
+        if trace.torn_bytes:
+            warnings.warn(
+                f"{path}: an unfinished last batch of {trace.torn_bytes} bytes was dropped",
+                stacklevel=2,
+            )
+    else:
+        trace = Trace(_read_parquet(path), path)
+    _check_schema(trace)
+    return trace
+
+
+def convert(journal: Path, target: Path) -> None:
+    """Writes a journal's intact batches as parquet, in memory that does not grow with the run."""
+    batches = _Journal(journal)
+    temporary = target.with_name(target.name + ".part")
+    floats = [
+        field.name + (".list.element" if pa.types.is_list(field.type) else "")
+        for field in batches.schema
+        if pa.types.is_floating(getattr(field.type, "value_type", field.type))
+    ]
+    strings = [field.name for field in batches.schema if pa.types.is_string(field.type)]
+    digest = _Digest(batches.schema)
+    try:
+        with pq.ParquetWriter(
+            temporary,
+            batches.schema,
+            compression="zstd",
+            use_dictionary=strings,
+            column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+            write_page_checksum=True,
+        ) as writer:
+            for table in _regroup(batches):
+                writer.write_table(table)
+                for batch in table.to_batches():
+                    digest.update(batch)
+            integrity = _integrity(digest, batches.schema)
+            writer.add_key_value_metadata({_INTEGRITY_KEY: integrity})
+        os.replace(temporary, target)
+    except OSError as error:
+        raise TraceError(f"{target}: cannot be written: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+class _Journal:
+    """Iterates over the intact batches of a journal; afterwards `torn_bytes` is known."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.torn_bytes = 0
+        try:
+            self._size = path.stat().st_size
+            self._source = pa.OSFile(str(path))
+            self._reader = pa.ipc.open_stream(self._source)
+        except (OSError, pa.ArrowInvalid) as error:
+            raise TraceError(f"{path}: is not a journal of a trace: {error}") from error
+        self.schema: pa.Schema = self._reader.schema
+        self._schema_crc = zlib.crc32(self.schema.serialize())
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        with self._source:
+            while True:
+                start = self._source.tell()
+                try:
+                    batch, custom = self._reader.read_next_batch_with_custom_metadata()
+                except StopIteration:
+                    break
+                except (OSError, pa.ArrowInvalid) as error:
+                    self._end(start, error)
+                    return
+                self._verify(batch, custom, start)
+                yield batch
+            if self._source.tell() != self._size:
+                self._end(start, None)
+
+    def _verify(self, batch: pa.RecordBatch, custom: Mapping[bytes, bytes] | None, at: int) -> None:
+        fault = f"{self.path}: the batch at byte {at} is damaged"
+        try:
+            # Offsets are validated before anything follows them.
+            batch.validate(full=True)
+        except pa.ArrowInvalid as error:
+            raise TraceError(f"{fault}: {error}") from error
+        checksum = b"%08x" % zlib.crc32(batch.serialize(), self._schema_crc)
+        stored = (custom or {}).get(_CRC_KEY)
+        if checksum != stored:
+            raise TraceError(f"{fault}: its CRC-32 is {checksum!r}, written was {stored!r}")
+
+    def _end(self, start: int, error: Exception | None) -> None:
+        """Tells a batch cut short by a kill, which is dropped, from damage in the middle."""
+        with open(self.path, "rb") as file:
+            file.seek(start)
+            tail = file.read()
+        # A kill leaves the beginning of one batch, hence at most one checksum entry.
+        if tail.count(_CRC_KEY) > 1:
+            raise TraceError(f"{self.path}: the batch at byte {start} is damaged: {error}")
+        self.torn_bytes = len(tail)
+
+
+class _Digest:
+    """SHA-256 of columns, fed batch by batch."""
+
+    def __init__(self, table_schema: pa.Schema):
+        self._names = table_schema.names
+        # Validity, lengths and values are hashed apart, so that cuts between batches leave no mark.
+        self._parts = [[hashlib.sha256() for _ in range(3)] for _ in self._names]
+        self._types = [str(t) for t in table_schema.types]
+
+    def update(self, batch: pa.RecordBatch) -> None:
+        for array, (valid, lengths, values) in zip(batch.columns, self._parts, strict=True):
+            valid.update(array.is_valid().to_numpy(zero_copy_only=False).view(np.uint8))
+            if pa.types.is_list(array.type):
+                lengths.update(np.diff(array.offsets.to_numpy()))
+                array = array.flatten()
+            elif pa.types.is_string(array.type):
+                _, offset_buffer, data = array.buffers()
+                offsets = np.frombuffer(offset_buffer, np.int32)
+                offsets = offsets[array.offset : array.offset + len(array) + 1]
+                lengths.update(np.diff(offsets))
+                if data is not None and len(offsets):
+                    values.update(memoryview(data)[offsets[0] : offsets[-1]])
+                continue
+            if array.null_count:
+                array = array.drop_null()
+            values.update(np.ascontiguousarray(array.to_numpy(zero_copy_only=False)))
+
+    def hexdigest(self) -> str:
+        whole = hashlib.sha256()
+        for name, kind, parts in zip(self._names, self._types, self._parts, strict=True):
+            whole.update(f"{name}|{kind}|{'|'.join(p.hexdigest() for p in parts)}\n".encode())
+        return whole.hexdigest()
+
+
+def _list_array(values: np.ndarray, null: np.ndarray) -> pa.ListArray:
+    """Rows of a (T, n) array as lists; null rows take no room."""
+    kind = pa.list_(pa.field("element", pa.float64(), nullable=False))
+    offsets = np.zeros(len(values) + 1, dtype=np.int32)
+    np.cumsum(np.where(null, 0, values.shape[1]), out=offsets[1:])
+    flat = pa.array(np.array(values[~null]).ravel())
+    mask = pa.array(null) if null.any() else None
+    return pa.ListArray.from_arrays(pa.array(offsets), flat, type=kind, mask=mask)
+
+
+def _regroup(batches: Iterator[pa.RecordBatch] | _Journal) -> Iterator[pa.Table]:
+    """The same rows in tables of `_ROW_GROUP_ROWS`, whatever the batches were."""
+    waiting: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in batches:
+        waiting.append(batch)
+        rows += len(batch)
+        while rows >= _ROW_GROUP_ROWS:
+            table = pa.Table.from_batches(waiting)
+            yield table.slice(0, _ROW_GROUP_ROWS).combine_chunks()
+            waiting = table.slice(_ROW_GROUP_ROWS).combine_chunks().to_batches()
+            rows -= _ROW_GROUP_ROWS
+    if rows:
+        yield pa.Table.from_batches(waiting).combine_chunks()
+
+
+def _integrity(digest: _Digest, table_schema: pa.Schema) -> bytes:
+    """Hash of rows and metadata: page checksums leave the footer, where metadata is, uncovered."""
+    entries = sorted((table_schema.metadata or {}).items())
+    whole = hashlib.sha256(digest.hexdigest().encode())
+    for key, value in entries:
+        if key != _INTEGRITY_KEY:
+            whole.update(b"%d %b %d %b" % (len(key), key, len(value), value))
+    return whole.hexdigest().encode()
+
+
+def _read_parquet(path: Path) -> pa.Table:
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            stored = (file.metadata.metadata or {}).get(_INTEGRITY_KEY)
+            table = file.read()
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        raise TraceError(f"{path}: is damaged or no parquet file: {error}") from error
+    if stored is None:
+        raise TraceError(f"{path}: has no entry {_INTEGRITY_KEY.decode()}: not a trace, or damaged")
+    digest = _Digest(table.schema)
+    for batch in table.to_batches():
+        digest.update(batch)
+    if _integrity(digest, table.schema) != stored:
+        raise TraceError(f"{path}: is damaged: rows and metadata do not match the stored hash")
+    return table
+
+
+def _check_schema(trace: Trace) -> None:
+    entries = trace.table.schema.metadata or {}
+    missing = [key for key in _LAYOUT_KEYS if key.encode() not in entries]
+    if missing:
+        raise TraceError(f"{trace.source}: metadata entries {', '.join(missing)} are missing")
+    version = int(entries[b"schema_version"])
+    if version > SCHEMA_VERSION:
+        raise TraceError(
+            f"{trace.source}: schema version {version} is newer than {SCHEMA_VERSION}, "
+            "the newest this workcell reads"
+        )
+    names = [column.name for column in columns(trace.layout)]
+    if trace.table.column_names != names:
+        different = sorted(set(names) ^ set(trace.table.column_names))
+        raise TraceError(f"{trace.source}: columns differ from the layout's: {different}")
