@@ -41,6 +41,11 @@ _ROW_GROUP_ROWS = 8192
 """Rows a parquet row group holds: chosen so that a conversion needs some ten megabytes whatever
 the length of the run, while columns stay long enough to compress."""
 
+_LIST = pa.list_(pa.field("element", pa.float64(), nullable=False))
+
+_SINK_BYTES = 1 << 20
+"""Larger than a batch of two arms (0.5 MB), so that a batch is a single write."""
+
 _Row = Mapping[str, object] | Any
 _Values = tuple[tuple[Any, ...], tuple[Any, ...]]
 
@@ -94,12 +99,14 @@ class TraceWriter:
         Path(folder).mkdir(parents=True, exist_ok=True)
         self.path.unlink(missing_ok=True)
         try:
-            self._sink = open(self.journal, "wb")  # noqa: SIM115 (closed by close)
+            self._sink = open(self.journal, "wb", buffering=_SINK_BYTES)
             self._stream = pa.ipc.new_stream(self._sink, self._schema)
             self._sink.flush()
         except OSError as error:
             raise TraceError(f"{self.journal}: cannot be written: {error}") from error
         self._schema_crc = zlib.crc32(self._schema.serialize())
+        # Arrow loads numpy.ma at its first conversion (90 ms): here, before there is a clock to keep.
+        pa.array(np.zeros(1))
         self._flushed_at_s = time.monotonic() if flush_wall_s is not None else 0.0
         self._closed = False
 
@@ -270,7 +277,7 @@ def schema(layout: Layout, metadata: Mapping[str, str]) -> pa.Schema:
     for column in columns(layout):
         kind = pa.type_for_alias(column.signal.dtype)
         if column.width is not None:
-            kind = pa.list_(pa.field("element", kind, nullable=False))
+            kind = _LIST
         fields.append(pa.field(column.name, kind, nullable=column.signal.nullable))
     return pa.schema(fields, metadata=entries)
 
@@ -504,12 +511,14 @@ class _Digest:
 
 def _list_array(values: np.ndarray, null: np.ndarray) -> pa.ListArray:
     """Rows of a (T, n) array as lists; null rows take no room."""
-    kind = pa.list_(pa.field("element", pa.float64(), nullable=False))
-    offsets = np.zeros(len(values) + 1, dtype=np.int32)
-    np.cumsum(np.where(null, 0, values.shape[1]), out=offsets[1:])
-    flat = pa.array(np.array(values[~null]).ravel())
-    mask = pa.array(null) if null.any() else None
-    return pa.ListArray.from_arrays(pa.array(offsets), flat, type=kind, mask=mask)
+    count, width = values.shape
+    if null.any():
+        offsets = np.concatenate([[0], np.cumsum(np.where(null, 0, width))]).astype(np.int32)
+        flat, mask = values[~null].ravel(), pa.array(null)
+    else:
+        offsets = np.arange(count + 1, dtype=np.int32) * np.int32(width)
+        flat, mask = values.flatten(), None
+    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(flat), type=_LIST, mask=mask)
 
 
 def _regroup(batches: Iterator[pa.RecordBatch] | _Journal) -> Iterator[pa.Table]:
