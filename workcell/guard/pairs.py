@@ -1,0 +1,216 @@
+"""Which pieces are held against which, and why the rest is not.
+
+The pieces of a scene come in; out go the body pairs that are watched (as a symmetric table over
+pieces), the body pairs left out, each with its reason, and which piece pairs belong to which
+exemption. Watched is everything between two arms, between an arm and its surroundings, and
+within an arm from `FAR_JOINTS` joints on, unless a rule below says why not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.errors import InputError
+from workcell.guard.geometry import WORLD, Geometry, Piece
+from workcell.guard.settings import Exemption
+
+# Neighbouring housings of an arm overlap by design up to two joints apart (their hubs and forks
+# enclose one another, and joint limits keep them from meeting); from three on they can meet.
+FAR_JOINTS = 3
+# An arm's base stands on whatever its own geometry comes this near to, m. Chosen for a base
+# plate modelled a few millimetres above its table, and far below any gap a tool is led through.
+STANDING_M = 0.005
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A pair of bodies that is not watched."""
+
+    body_i: str
+    """Name of one body."""
+    body_j: str
+    """Name of the other body, or of the one geom of it that this is about."""
+    reason: str
+    """Why."""
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """What is watched among n pieces."""
+
+    watched: NDArray[np.bool_]
+    """(n, n), symmetric, false on the diagonal."""
+    exempt: NDArray[np.bool_]
+    """(number of exemptions, n, n): the watched pairs an exemption lifts while it is open."""
+    left_out: tuple[LeftOut, ...]
+    """Every pair of bodies of which no, or not every, piece pair is watched."""
+
+    @property
+    def count(self) -> int:
+        """Number of watched piece pairs."""
+        return int(np.count_nonzero(self.watched)) // 2
+
+
+def choose_pairs(
+    model: mujoco.MjModel,
+    geometry: Geometry,
+    arms: tuple[str, ...],
+    exemptions: tuple[Exemption, ...] = (),
+) -> PairTable:
+    """Decides every pair of bodies once.
+
+    Raises:
+        InputError: If an exemption names a geom or body that no piece has, or lifts no pair.
+    """
+    pieces = geometry.pieces
+    of_body: dict[int, list[int]] = {}
+    for index, piece in enumerate(pieces):
+        of_body.setdefault(piece.body, []).append(index)
+    reference = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, reference)
+    standing = _standing_on(model, reference, pieces, arms)
+
+    watched = np.zeros((len(pieces), len(pieces)), dtype=bool)
+    left_out: list[LeftOut] = []
+    for body_i, body_j in combinations(sorted(of_body), 2):
+        first_i, first_j = pieces[of_body[body_i][0]], pieces[of_body[body_j][0]]
+        reason = _reason_to_leave_out(model, reference, pieces, arms, of_body, body_i, body_j)
+        if reason:
+            left_out.append(LeftOut(first_i.body_name, first_j.body_name, reason))
+            continue
+        for i in of_body[body_i]:
+            for j in of_body[body_j]:
+                watched[i, j] = watched[j, i] = True
+    for index, support in sorted(standing):
+        if watched[index, support]:
+            watched[index, support] = watched[support, index] = False
+            left_out.append(
+                LeftOut(
+                    pieces[index].name,
+                    pieces[support].name,
+                    "the first moving link turns next to what its base stands on",
+                )
+            )
+    exempt = (
+        np.stack([_lifted(pieces, watched, e) for e in exemptions])
+        if exemptions
+        else (np.zeros((0, *watched.shape), dtype=bool))
+    )
+    return PairTable(watched, exempt, tuple(left_out))
+
+
+def joints_between(model: mujoco.MjModel, body_i: int, body_j: int) -> int:
+    """Number of joints on the way through the tree from one body to the other."""
+    ancestors_i, ancestors_j = _chain(model, body_i), _chain(model, body_j)
+    apart = set(ancestors_i) ^ set(ancestors_j)
+    return int(sum(model.body_jntnum[body] for body in apart))
+
+
+def _reason_to_leave_out(
+    model: mujoco.MjModel,
+    reference: mujoco.MjData,
+    pieces: tuple[Piece, ...],
+    arms: tuple[str, ...],
+    of_body: dict[int, list[int]],
+    body_i: int,
+    body_j: int,
+) -> str | None:
+    owner_i, owner_j = pieces[of_body[body_i][0]].owner, pieces[of_body[body_j][0]].owner
+    if owner_i not in arms and owner_j not in arms:
+        return "neither belongs to an arm"
+    if joints_between(model, body_i, body_j) == 0:
+        return "no joint lies between them, so their distance never changes"
+    if _excluded_by_model(model, body_i, body_j):
+        return "the model excludes the pair by name (contact/exclude)"
+    if owner_i != owner_j:
+        return None
+    joints = joints_between(model, body_i, body_j)
+    if joints < FAR_JOINTS:
+        return f"same arm, only {joints} joint{'s' * (joints > 1)} apart"
+    if any(
+        mujoco.mj_geomDistance(model, reference, pieces[i].geom, pieces[j].geom, 1.0, None) <= 0.0
+        for i in of_body[body_i]
+        for j in of_body[body_j]
+    ):
+        return "same arm, and overlapping already in the model's reference pose, thus by design"
+    return None
+
+
+def _standing_on(
+    model: mujoco.MjModel,
+    reference: mujoco.MjData,
+    pieces: tuple[Piece, ...],
+    arms: tuple[str, ...],
+) -> set[tuple[int, int]]:
+    """Piece pairs (first moving link, world geom that its arm's base stands on)."""
+    pairs: set[tuple[int, int]] = set()
+    supports = [k for k, piece in enumerate(pieces) if piece.owner == WORLD]
+    for arm in arms:
+        own = [k for k, piece in enumerate(pieces) if piece.owner == arm]
+        base = [k for k in own if joints_between(model, pieces[k].body, 0) == 0]
+        first = [k for k in own if joints_between(model, pieces[k].body, 0) == 1]
+        for support in supports:
+            near = any(
+                mujoco.mj_geomDistance(
+                    model, reference, pieces[k].geom, pieces[support].geom, 2 * STANDING_M, None
+                )
+                <= STANDING_M
+                for k in base
+            )
+            if near:
+                pairs.update((k, support) for k in first)
+    return pairs
+
+
+def _lifted(
+    pieces: tuple[Piece, ...], watched: NDArray[np.bool_], exemption: Exemption
+) -> NDArray[np.bool_]:
+    key = f"exemptions.{exemption.name}"
+    sides = []
+    faults: list[str] = []
+    for side in ("geoms_i", "geoms_j"):
+        hits = np.zeros(len(pieces), dtype=bool)
+        for pattern in getattr(exemption, side):
+            found = [_is_named(piece, pattern) for piece in pieces]
+            if not any(found):
+                known = ", ".join(_shortened(piece.body_name for piece in pieces))
+                faults.append(f"{key}.{side}: no geom or body is named '{pattern}'; known: {known}")
+            hits |= np.array(found)
+        sides.append(hits)
+    if faults:
+        raise InputError(faults)
+    lifted = np.outer(sides[0], sides[1])
+    lifted = (lifted | lifted.T) & watched
+    if not lifted.any():
+        raise InputError(f"{key}: none of its pairs is watched, so there is nothing to exempt")
+    return lifted
+
+
+def _is_named(piece: Piece, pattern: str) -> bool:
+    return fnmatchcase(piece.name, pattern) or fnmatchcase(piece.body_name, pattern)
+
+
+def _shortened(names: Iterable[str], most: int = 30) -> list[str]:
+    unique = list(dict.fromkeys(names))
+    return unique if len(unique) <= most else [*unique[:most], "..."]
+
+
+def _chain(model: mujoco.MjModel, body: int) -> list[int]:
+    chain = [body]
+    while body != 0:
+        body = int(model.body_parentid[body])
+        chain.append(body)
+    return chain
+
+
+def _excluded_by_model(model: mujoco.MjModel, body_i: int, body_j: int) -> bool:
+    # MuJoCo keeps the two body ids of an exclusion in one integer, the smaller one high.
+    signature = (min(body_i, body_j) << 16) + max(body_i, body_j)
+    return bool(np.any(model.exclude_signature == signature))
