@@ -43,6 +43,9 @@ the length of the run, while columns stay long enough to compress."""
 
 _LIST = pa.list_(pa.field("element", pa.float64(), nullable=False))
 
+_END_OF_STREAM = b"\xff\xff\xff\xff\0\0\0\0"
+"""What ends an Arrow stream that was closed; one that was cut off lacks it."""
+
 _SINK_BYTES = 1 << 20
 """Larger than a batch of two arms (0.5 MB), so that a batch is a single write."""
 
@@ -101,14 +104,14 @@ class TraceWriter:
         try:
             self._sink = open(self.journal, "wb", buffering=_SINK_BYTES)
             self._stream = pa.ipc.new_stream(self._sink, self._schema)
-            self._sink.flush()
         except OSError as error:
             raise TraceError(f"{self.journal}: cannot be written: {error}") from error
         self._schema_crc = zlib.crc32(self._schema.serialize())
-        # Arrow loads numpy.ma at its first conversion (90 ms): here, before there is a clock to keep.
-        pa.array(np.zeros(1))
         self._flushed_at_s = time.monotonic() if flush_wall_s is not None else 0.0
         self._closed = False
+        # A batch without rows puts the schema into the journal, and has Arrow load what it needs
+        # for its first conversion (90 ms) before there is a clock to keep.
+        self._write(self._batch())
 
     def append(self, row: _Row) -> None:
         """Adds one row.
@@ -154,13 +157,7 @@ class TraceWriter:
         """Hands the rows so far to the operating system; they outlive this process from then on."""
         if not self._scalars:
             return
-        batch = self._batch()
-        checksum = zlib.crc32(batch.serialize(), self._schema_crc)
-        try:
-            self._stream.write_batch(batch, custom_metadata={_CRC_KEY: b"%08x" % checksum})
-            self._sink.flush()
-        except OSError as error:
-            raise TraceError(f"{self.journal}: cannot be written: {error}") from error
+        self._write(self._batch())
         self._scalars.clear()
         self._null[:] = False
         if self._flush_wall_s is not None:
@@ -237,6 +234,14 @@ class TraceWriter:
                 return f"column {name} holds {np.asarray(value).dtype}, not numbers"
         return "a vector column cannot be stored"
 
+    def _write(self, batch: pa.RecordBatch) -> None:
+        checksum = zlib.crc32(batch.serialize(), self._schema_crc)
+        try:
+            self._stream.write_batch(batch, custom_metadata={_CRC_KEY: b"%08x" % checksum})
+            self._sink.flush()
+        except OSError as error:
+            raise TraceError(f"{self.journal}: cannot be written: {error}") from error
+
     def _batch(self) -> pa.RecordBatch:
         count = len(self._scalars)
         scalars = iter(zip(*self._scalars, strict=True))
@@ -244,7 +249,7 @@ class TraceWriter:
         for column, field in zip(self._columns, self._schema, strict=True):
             if column.width is None:
                 try:
-                    array = pa.array(next(scalars), field.type)
+                    array = _scalar_array(next(scalars, ()), field.type)
                 except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError) as error:
                     raise TraceError(
                         f"{self.path}: column {column.name} takes {field.type}: {error}"
@@ -282,7 +287,7 @@ def schema(layout: Layout, metadata: Mapping[str, str]) -> pa.Schema:
     return pa.schema(fields, metadata=entries)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trace:
     """A trace read back; `trace["time_s"]` is a column as a NumPy array."""
 
@@ -292,6 +297,9 @@ class Trace:
     """The file they were read from."""
     torn_bytes: int = 0
     """Bytes of an unfinished last batch that were dropped: more than 0 only after a kill."""
+
+    def __repr__(self) -> str:
+        return f"Trace({str(self.source)!r}, {len(self)} rows)"
 
     def __len__(self) -> int:
         return self.table.num_rows
@@ -427,52 +435,53 @@ class _Journal:
     def __init__(self, path: Path):
         self.path = path
         self.torn_bytes = 0
+        self._file = pa.OSFile(str(path))
         try:
-            self._size = path.stat().st_size
-            self._source = pa.OSFile(str(path))
-            self._reader = pa.ipc.open_stream(self._source)
-        except (OSError, pa.ArrowInvalid) as error:
+            self._reader = pa.ipc.open_stream(self._file)
+            # The reader reads ahead. A second handle, moved on by a message whenever the reader
+            # has given an intact one, knows where the last intact batch ends.
+            self._intact = pa.OSFile(str(path))
+            pa.ipc.read_message(self._intact)
+        except (OSError, pa.ArrowException) as error:
             raise TraceError(f"{path}: is not a journal of a trace: {error}") from error
         self.schema: pa.Schema = self._reader.schema
         self._schema_crc = zlib.crc32(self.schema.serialize())
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
-        with self._source:
+        intact = 0
+        with self._file, self._intact:
             while True:
-                start = self._source.tell()
                 try:
                     batch, custom = self._reader.read_next_batch_with_custom_metadata()
+                    # Offsets are validated before anything follows them.
+                    batch.validate(full=True)
+                    checksum = b"%08x" % zlib.crc32(batch.serialize(), self._schema_crc)
+                    stored = (custom or {}).get(_CRC_KEY)
+                    if checksum != stored:
+                        raise TraceError(f"its CRC-32 is {checksum!r}, written was {stored!r}")
+                    pa.ipc.read_message(self._intact)
                 except StopIteration:
-                    break
-                except (OSError, pa.ArrowInvalid) as error:
-                    self._end(start, error)
-                    return
-                self._verify(batch, custom, start)
+                    return self._finish(intact, TraceError("its length is zero"), torn=True)
+                except (OSError, pa.ArrowException) as error:
+                    return self._finish(intact, error, torn=True)
+                except TraceError as error:
+                    return self._finish(intact, error, torn=False)
+                intact += 1
                 yield batch
-            if self._source.tell() != self._size:
-                self._end(start, None)
 
-    def _verify(self, batch: pa.RecordBatch, custom: Mapping[bytes, bytes] | None, at: int) -> None:
-        fault = f"{self.path}: the batch at byte {at} is damaged"
-        try:
-            # Offsets are validated before anything follows them.
-            batch.validate(full=True)
-        except pa.ArrowInvalid as error:
-            raise TraceError(f"{fault}: {error}") from error
-        checksum = b"%08x" % zlib.crc32(batch.serialize(), self._schema_crc)
-        stored = (custom or {}).get(_CRC_KEY)
-        if checksum != stored:
-            raise TraceError(f"{fault}: its CRC-32 is {checksum!r}, written was {stored!r}")
-
-    def _end(self, start: int, error: Exception | None) -> None:
-        """Tells a batch cut short by a kill, which is dropped, from damage in the middle."""
-        with open(self.path, "rb") as file:
-            file.seek(start)
-            tail = file.read()
-        # A kill leaves the beginning of one batch, hence at most one checksum entry.
-        if tail.count(_CRC_KEY) > 1:
-            raise TraceError(f"{self.path}: the batch at byte {start} is damaged: {error}")
-        self.torn_bytes = len(tail)
+    def _finish(self, intact: int, error: Exception, *, torn: bool) -> None:
+        """Tells the end, and a batch cut short by a kill, which is dropped, from damage."""
+        end = self._intact.tell()
+        content = self.path.read_bytes()
+        if content[end:] in (b"", _END_OF_STREAM):
+            return
+        # A kill leaves the beginning of a batch, which opens like the end mark, and every batch has
+        # one checksum entry: there is at most one beyond the intact ones.
+        opening = _END_OF_STREAM[:4].startswith(content[end : end + 4])
+        if not (torn and opening) or content.count(_CRC_KEY) > intact + 1:
+            fault = f"{self.path}: the batch at byte {end} is damaged: {error}"
+            raise TraceError(fault) from error
+        self.torn_bytes = len(content) - end
 
 
 class _Digest:
@@ -492,8 +501,8 @@ class _Digest:
                 array = array.flatten()
             elif pa.types.is_string(array.type):
                 _, offset_buffer, data = array.buffers()
-                offsets = np.frombuffer(offset_buffer, np.int32)
-                offsets = offsets[array.offset : array.offset + len(array) + 1]
+                end = array.offset + len(array) + 1
+                offsets = np.frombuffer(offset_buffer, np.int32, end)[array.offset :]
                 lengths.update(np.diff(offsets))
                 if data is not None and len(offsets):
                     values.update(memoryview(data)[offsets[0] : offsets[-1]])
@@ -507,6 +516,13 @@ class _Digest:
         for name, kind, parts in zip(self._names, self._types, self._parts, strict=True):
             whole.update(f"{name}|{kind}|{'|'.join(p.hexdigest() for p in parts)}\n".encode())
         return whole.hexdigest()
+
+
+def _scalar_array(values: tuple[Any, ...], kind: pa.DataType) -> pa.Array:
+    if pa.types.is_integer(kind):
+        # Told the type, Arrow would cut 0.5 to 0 without a word; a cast refuses it.
+        return pa.array(values).cast(kind)
+    return pa.array(values, kind)
 
 
 def _list_array(values: np.ndarray, null: np.ndarray) -> pa.ListArray:
