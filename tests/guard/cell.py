@@ -52,7 +52,9 @@ SCENE = """
 <mujoco>
   <compiler angle="degree"/>
   <asset><mesh name="wedge" vertex="{wedge}"/></asset>
-  <default><default class="housing"><geom group="2" contype="0" conaffinity="0"/></default></default>
+  <default>
+    <default class="housing"><geom group="2" contype="0" conaffinity="0"/></default>
+  </default>
   <worldbody>
     <geom name="floor" type="plane" size="2 2 .1" pos="0 0 -.5"/>
     <geom name="table" type="box" size=".6 .4 .02" pos="0 0 -.02"/>

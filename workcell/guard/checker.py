@@ -48,9 +48,7 @@ class Checker:
             )
         except InputError as error:
             raise InputError(error.faults, file=scene_xml) from error
-        self._search = NearestSearch(
-            self.model, self.geometry, self.table, ceiling_m=settings.ceiling_m
-        )
+        self._search = NearestSearch(self.model, self.geometry, ceiling_m=settings.ceiling_m)
         self._masks = {0: self.table.watched}
         self._before: dict[int, tuple[int, float]] = {}
 

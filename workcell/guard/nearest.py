@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.guard.geometry import Geometry
-from workcell.guard.pairs import PairTable
 
 # Convergence of the distance between curved pieces, m. A thousandth of the smallest sensible
 # d_min (1 mm); MuJoCo's default of 1e-6 m costs the same and leaves errors of that order.
@@ -46,13 +45,10 @@ class NearestSearch:
     Args:
         model: The compiled scene. Its distance tolerance is set to `CCD_TOLERANCE_M`.
         geometry: The pieces.
-        table: Which pairs are watched.
         ceiling_m: Distances beyond this are not told apart, m.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, geometry: Geometry, table: PairTable, *, ceiling_m: float
-    ):
+    def __init__(self, model: mujoco.MjModel, geometry: Geometry, *, ceiling_m: float):
         model.opt.ccd_tolerance = CCD_TOLERANCE_M
         # Twice the default: a tighter tolerance may take more steps, and a search that ends for
         # lack of them is not exact.
@@ -60,18 +56,13 @@ class NearestSearch:
         self._model = model
         self._data = mujoco.MjData(model)
         self._ceiling_m = ceiling_m
-        self._watched = table.watched
         self._geoms = np.array([piece.geom for piece in geometry.pieces], dtype=int)
         boxes = model.geom_aabb[self._geoms]
         self._centre_local = boxes[:, :3].copy()
         self._half_m = boxes[:, 3:].copy()
         self._radius_m = _bounding_radii(model, self._geoms, self._centre_local, self._half_m)
-        self._planes = np.flatnonzero(model.geom_type[self._geoms] == _PLANE)
-        self._reach_m = self._radius_m[:, None] + self._radius_m[None, :] + BOUND_SLACK_M
-        # Subtracting this from squared centre distances leaves pairs that cannot count at +inf.
-        self._reach_sq = self._reach_m**2
-        self._last: dict[int, tuple[int, int]] = {}
-        self._masks: dict[int, NDArray[np.float64]] = {}
+        self._planes = model.geom_type[self._geoms] == _PLANE
+        self._lists: dict[int, _PairList] = {}
 
     def place(self, qpos: NDArray[np.float64]) -> None:
         """Moves the pieces to a configuration (nq,) of the model."""
@@ -90,85 +81,112 @@ class NearestSearch:
             mask: Which pairs count.
             key: Names the mask; one mask a key. The search keeps its bounds and its last pair.
         """
-        best_m, best_pair, measured = self._ceiling_m, None, 0
-        start = self._last.get(key)
-        if start is not None:
-            best_m, best_pair, measured = *self._measure(start, best_m, None), 1
-        pairs_i, pairs_j, bounds = self._candidates(mask, key, best_m)
-        for i, j, bound in zip(pairs_i.tolist(), pairs_j.tolist(), bounds.tolist(), strict=True):
+        pairs = self._lists.get(key)
+        if pairs is None:
+            pairs = self._lists[key] = self._list(mask)
+        bounds = self._sphere_bounds(pairs)
+        best_m, best = self._ceiling_m, None
+        # Two guesses bring the limit down before any list is sorted: what was nearest last
+        # time, and what the spheres say is nearest now.
+        guesses = [] if pairs.last is None else [pairs.last]
+        if len(bounds):
+            guesses.append(int(np.argmin(bounds)))
+        for k in guesses:
+            best_m, best = self._measure(pairs, k, best_m, best)
+        measured = len(guesses)
+        near = np.flatnonzero(bounds < best_m)
+        for spheres, boxes in ((pairs.i, pairs.j), (pairs.j, pairs.i)):
+            bounds[near] = np.maximum(bounds[near], self._box_bounds(spheres[near], boxes[near]))
+            near = near[bounds[near] < best_m]
+        near_bounds = bounds[near]
+        order = np.argsort(near_bounds, kind="stable")
+        for k, bound in zip(near[order].tolist(), near_bounds[order].tolist(), strict=True):
             if bound >= best_m:
                 break
-            if (i, j) == start:
-                continue
-            best_m, best_pair = self._measure((i, j), best_m, best_pair)
-            measured += 1
-        if best_pair is not None:
-            self._last[key] = best_pair
-        return Nearest(best_m, best_pair, measured)
+            if k not in guesses:
+                best_m, best = self._measure(pairs, k, best_m, best)
+                measured += 1
+        if best is None:
+            return Nearest(best_m, None, measured)
+        pairs.last = best
+        return Nearest(best_m, (int(pairs.i[best]), int(pairs.j[best])), measured)
+
+    def _list(self, mask: NDArray[np.bool_]) -> _PairList:
+        pairs_i, pairs_j = np.nonzero(np.triu(mask, 1))
+        with_plane = self._planes[pairs_i] | self._planes[pairs_j]
+        # Planes last, so that the two kinds of bound are two slices.
+        order = np.argsort(with_plane, kind="stable")
+        pairs_i, pairs_j = pairs_i[order], pairs_j[order]
+        return _PairList(
+            i=pairs_i,
+            j=pairs_j,
+            flat=pairs_i * len(self._geoms) + pairs_j,
+            reach_m=self._radius_m[pairs_i] + self._radius_m[pairs_j] + BOUND_SLACK_M,
+            first_plane=int(np.count_nonzero(~with_plane)),
+        )
 
     def _measure(
-        self, pair: tuple[int, int], best_m: float, best_pair: tuple[int, int] | None
-    ) -> tuple[float, tuple[int, int] | None]:
+        self, pairs: _PairList, k: int, best_m: float, best: int | None
+    ) -> tuple[float, int | None]:
         distance_m = mujoco.mj_geomDistance(
             self._model,
             self._data,
-            int(self._geoms[pair[0]]),
-            int(self._geoms[pair[1]]),
+            int(self._geoms[pairs.i[k]]),
+            int(self._geoms[pairs.j[k]]),
             # Asked for a limit below zero MuJoCo would not resolve how deep a contact is.
             max(best_m, CCD_TOLERANCE_M),
             None,
         )
-        return (distance_m, pair) if distance_m < best_m else (best_m, best_pair)
+        return (distance_m, k) if distance_m < best_m else (best_m, best)
 
-    def _candidates(
-        self, mask: NDArray[np.bool_], key: int, best_m: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Pairs whose lower bound is below `best_m`, by rising bound."""
-        if key not in self._masks:
-            counted = np.triu(mask, 1)
-            counted[self._planes, :] = counted[:, self._planes] = False
-            self._masks[key] = np.where(counted, self._reach_sq, -np.inf)
-        limit_m = max(best_m, 0.0)
-        square = np.einsum("ni,ni->n", self._centre, self._centre)
-        # |a - b|^2 - reach^2 - 2 reach limit < limit^2, that is, |a - b| - reach < limit.
-        excess = self._centre @ (-2.0 * self._centre.T)
-        excess += square[:, None]
-        excess += square
-        excess -= self._masks[key]
-        excess -= (2.0 * limit_m) * self._reach_m
-        flat = np.flatnonzero(excess < limit_m**2 + BOUND_SLACK_M)
-        pairs_i, pairs_j = np.divmod(flat, len(self._geoms))
-        bounds = np.maximum(
-            self._sphere_to_box(pairs_i, pairs_j), self._sphere_to_box(pairs_j, pairs_i)
-        )
-        if len(self._planes):
-            plane_i, plane_j, plane_bounds = self._plane_pairs(mask)
-            pairs_i = np.concatenate([pairs_i, plane_i])
-            pairs_j = np.concatenate([pairs_j, plane_j])
-            bounds = np.concatenate([bounds, plane_bounds])
-        order = np.argsort(bounds, kind="stable")
-        order = order[: np.searchsorted(bounds[order], best_m)]
-        return pairs_i[order], pairs_j[order], bounds[order]
+    def _sphere_bounds(self, pairs: _PairList) -> NDArray[np.float64]:
+        """Lower bounds (pairs,) from spheres around the pieces; from planes as they are."""
+        square = np.einsum("ni,ni->n", self._centre, self._centre)[:, None]
+        one = np.ones_like(square)
+        # |a - b|^2 = -2 a·b + |a|^2 + |b|^2 for all pieces at once.
+        left = np.hstack([-2.0 * self._centre, square, one])
+        right = np.hstack([self._centre, one, square])
+        bounds = (left @ right.T).take(pairs.flat)
+        np.sqrt(np.maximum(bounds, 0.0, out=bounds), out=bounds)
+        bounds -= pairs.reach_m
+        flat = slice(pairs.first_plane, None)
+        pairs_i, pairs_j = pairs.i[flat], pairs.j[flat]
+        planes = np.where(self._planes[pairs_i], pairs_i, pairs_j)
+        others = pairs_i + pairs_j - planes
+        normal = self._rotation[planes][:, :, 2]
+        height = np.einsum("ni,ni->n", self._centre[others] - self._centre[planes], normal)
+        bounds[flat] = height - pairs.reach_m[flat]
+        return bounds
 
-    def _sphere_to_box(
+    def _box_bounds(
         self, spheres: NDArray[np.int64], boxes: NDArray[np.int64]
     ) -> NDArray[np.float64]:
+        """Lower bounds from the sphere of one piece and the oriented box of the other, m."""
         offset = self._centre[spheres] - self._centre[boxes]
         local = np.einsum("ni,nij->nj", offset, self._rotation[boxes])
         outside = np.maximum(np.abs(local) - self._half_m[boxes], 0.0)
         gap = np.sqrt(np.einsum("ni,ni->n", outside, outside))
-        # Inside the box the gap says nothing about depth, so such a pair is always measured.
-        return np.where(gap > 0.0, gap - self._radius_m[spheres] - BOUND_SLACK_M, -np.inf)
+        # Inside the box the gap says nothing about depth; a plane has no box.
+        known = (gap > 0.0) & ~(self._planes[spheres] | self._planes[boxes])
+        return np.where(known, gap - self._radius_m[spheres] - BOUND_SLACK_M, -np.inf)
 
-    def _plane_pairs(
-        self, mask: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        rows, others = np.nonzero(mask[self._planes])
-        planes = self._planes[rows]
-        normal = self._rotation[planes][:, :, 2]
-        height = np.einsum("ni,ni->n", self._centre[others] - self._centre[planes], normal)
-        bounds = height - self._radius_m[others] - BOUND_SLACK_M
-        return np.minimum(planes, others), np.maximum(planes, others), bounds
+
+@dataclass
+class _PairList:
+    """The pairs of one mask, and which of them was nearest last."""
+
+    i: NDArray[np.int64]
+    """(pairs,) smaller piece index."""
+    j: NDArray[np.int64]
+    """(pairs,) larger piece index."""
+    flat: NDArray[np.int64]
+    """(pairs,) their place in a flattened table over pieces."""
+    reach_m: NDArray[np.float64]
+    """(pairs,) sum of the bounding radii."""
+    first_plane: int
+    """From this pair on one of the two is a plane."""
+    last: int | None = None
+    """Index of the nearest pair of the last search."""
 
 
 def _bounding_radii(

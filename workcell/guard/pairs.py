@@ -88,16 +88,12 @@ def choose_pairs(
         for i in of_body[body_i]:
             for j in of_body[body_j]:
                 watched[i, j] = watched[j, i] = True
-    for index, support in sorted(standing):
-        if watched[index, support]:
-            watched[index, support] = watched[support, index] = False
-            left_out.append(
-                LeftOut(
-                    pieces[index].name,
-                    pieces[support].name,
-                    "the first moving link turns next to what its base stands on",
-                )
-            )
+    let_off = {(index, support) for index, support in standing if watched[index, support]}
+    for index, support in let_off:
+        watched[index, support] = watched[support, index] = False
+    reason = "the first moving link turns next to what its base stands on"
+    for body_name, name in sorted({(pieces[i].body_name, pieces[k].name) for i, k in let_off}):
+        left_out.append(LeftOut(body_name, name, reason))
     exempt = (
         np.stack([_lifted(pieces, watched, e) for e in exemptions])
         if exemptions

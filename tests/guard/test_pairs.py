@@ -1,0 +1,100 @@
+"""Which pairs are watched, which are not and why, and what an exemption may name."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from workcell.errors import InputError
+from workcell.guard.geometry import collect_geometry
+from workcell.guard.pairs import PairTable, choose_pairs, joints_between
+from workcell.guard.settings import Exemption
+
+from .cell import ARMS, scene_text
+
+
+def table_of(
+    text: str, exemptions: tuple[Exemption, ...] = ()
+) -> tuple[PairTable, dict[str, int], mujoco.MjModel]:
+    model = mujoco.MjModel.from_xml_string(text)
+    geometry = collect_geometry(model, ARMS)
+    index = {piece.name: k for k, piece in enumerate(geometry.pieces)}
+    return choose_pairs(model, geometry, ARMS, exemptions), index, model
+
+
+def exemption(*, i: str = "nurse/tool*", j: str = "surgeon/tool") -> Exemption:
+    return Exemption("exchange", (i,), (j,), expiry_s=1.0, max_closing_m_s=0.1, d_min_m=0.0)
+
+
+def test_every_pair_is_watched_or_left_out_with_a_reason():
+    table, index, model = table_of(scene_text())
+    assert np.array_equal(table.watched, table.watched.T)
+    assert not table.watched.diagonal().any()
+    geometry = collect_geometry(model, ARMS)
+    said = {(row.body_i, row.body_j) for row in table.left_out}
+    for a in geometry.pieces:
+        for b in geometry.pieces:
+            if a.body == b.body or table.watched[index[a.name], index[b.name]]:
+                continue
+            one, other = {a.name, a.body_name}, {b.name, b.body_name}
+            assert any({i, j} & one and {i, j} & other for i, j in said), (a.name, b.name)
+    assert all(row.reason for row in table.left_out)
+    # 7 pieces an arm: 49 between the arms less 1 of the bases; 2 x 3 obstacles x 6 moving pieces
+    # less the 2 drums over the table; within each arm base-link3/4/tool, drum-link4/tool and the
+    # two pieces of link2 with the tool.
+    assert table.count == 48 + 36 - 2 + 2 * (3 + 2 + 2)
+
+
+def test_arms_are_held_against_each_other_down_to_the_base():
+    table, index, _ = table_of(scene_text())
+    assert table.watched[index["nurse/base_plate"], index["surgeon/tool_tip"]]
+    assert not table.watched[index["nurse/base_plate"], index["surgeon/base_plate"]]
+
+
+def test_the_first_link_is_let_off_only_what_its_base_stands_on():
+    table, index, _ = table_of(scene_text())
+    assert not table.watched[index["nurse/link1_drum"], index["table"]]
+    assert table.watched[index["nurse/link1_drum"], index["post"]]
+    assert table.watched[index["nurse/link2_hub"], index["table"]]
+
+
+def test_joints_are_counted_over_the_world():
+    _, _, model = table_of(scene_text())
+    body = {name: model.body(name).id for name in ("nurse/base", "nurse/tool", "surgeon/link2")}
+    assert joints_between(model, body["nurse/base"], body["nurse/tool"]) == 5
+    assert joints_between(model, body["nurse/tool"], body["surgeon/link2"]) == 7
+
+
+def test_overlap_in_the_reference_pose_counts_as_design():
+    text = scene_text().replace(
+        'name="nurse/tool_tip" type="capsule" size=".008 .03"',
+        'name="nurse/tool_tip" type="capsule" size=".008 .6"',
+    )
+    table, index, _ = table_of(text)
+    assert not table.watched[index["nurse/tool_tip"], index["nurse/link2_bar"]]
+    (row,) = [r for r in table.left_out if {r.body_i, r.body_j} == {"nurse/link2", "nurse/tool"}]
+    assert "by design" in row.reason
+
+
+def test_an_exclusion_of_the_model_is_honoured_and_said():
+    extra = "<contact><exclude body1='surgeon/link4' body2='nurse/link4'/></contact>"
+    table, index, _ = table_of(scene_text(extra=extra))
+    assert not table.watched[index["nurse/link4_wedge"], index["surgeon/link4_wedge"]]
+    assert sum("contact/exclude" in row.reason for row in table.left_out) == 1
+
+
+def test_an_exemption_lifts_its_own_pairs_only():
+    table, index, _ = table_of(scene_text(), (exemption(j="surgeon/link4_wedge"),))
+    lifted = np.argwhere(np.triu(table.exempt[0]))
+    assert lifted.tolist() == [[index["nurse/tool_tip"], index["surgeon/link4_wedge"]]]
+
+
+def test_an_exemption_of_something_unknown_is_refused_by_name():
+    with pytest.raises(InputError, match=r"exchange\.geoms_i: no geom or body is named 'nuse/.*'"):
+        table_of(scene_text(), (exemption(i="nuse/tool"),))
+
+
+def test_an_exemption_of_pairs_that_are_not_watched_is_refused():
+    with pytest.raises(InputError, match="nothing to exempt"):
+        table_of(scene_text(), (exemption(i="nurse/link2", j="nurse/link3"),))
