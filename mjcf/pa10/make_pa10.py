@@ -16,7 +16,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from capsule_fit import extreme_points
+from capsule_fit import extreme_points, margin
 from pa10_dimensions import (
     CAPSULES,
     DRIVES,
@@ -52,7 +52,17 @@ _FINISHES = {
 
 
 def build() -> str:
-    """The text of pa10.xml."""
+    """The text of pa10.xml.
+
+    Raises:
+        ValueError: A watched capsule does not contain its housing.
+    """
+    for capsule in CAPSULES:
+        if margin(capsule) < 0:
+            raise ValueError(
+                f"{capsule.name}: the housing sticks out by {-margin(capsule):.3f} mm; "
+                "capsule_fit.py proposes one that contains it"
+            )
     root = _arm()
     actuators = ET.SubElement(root, "actuator")
     inertia = heaviest_inertia_kg_m2(root)
@@ -225,7 +235,7 @@ def _text(*values: float) -> str:
 def _serialise(root: ET.Element) -> str:
     root.insert(0, ET.Comment(_HEADER))
     ET.indent(root, space="  ")
-    return ET.tostring(root, encoding="unicode") + "\n"
+    return ET.tostring(root, encoding="unicode").replace(" />", "/>") + "\n"
 
 
 def main(arguments: Iterable[str]) -> None:
