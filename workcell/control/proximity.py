@@ -1,0 +1,305 @@
+"""Distances of watched geom pairs and their Jacobian (docs/theory.md sections 1, 2).
+
+In: a MuJoCo model whose `fromto` sensors hold the witness points of each pair, and data on which
+kinematics and sensors were computed. Out: signed distance d, direction n, witness points, the
+Jacobian G = dd/dq of every pair (paper equations 3 to 5). All pairs are treated at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from workcell.control.finite import finite
+from workcell.errors import InputError, WorkcellError
+
+Array = NDArray[np.float64]
+
+CROSSING_TOLERANCE_M = 1e-9
+"""Axis distance below which two axes count as crossing.
+
+Witness points are good to about 1e-16 m, so at 1e-9 m their direction still has seven digits.
+"""
+COINCIDENT_TOLERANCE_M = 1e-9
+"""Distance below which the witness points of two geoms without a radius give no direction."""
+
+CROSSING_PARALLEL_SINE = 1e-6
+"""Sine of the angle below which crossing axes have no common perpendicular worth its digits."""
+
+_GEOM = mujoco.mjtGeom
+_ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE)
+_FLAT = (
+    _GEOM.mjGEOM_PLANE,
+    _GEOM.mjGEOM_BOX,
+    _GEOM.mjGEOM_CYLINDER,
+    _GEOM.mjGEOM_ELLIPSOID,
+    _GEOM.mjGEOM_MESH,
+)
+
+
+@dataclass(frozen=True)
+class Proximity:
+    """The state of all watched pairs (i, j) at one configuration, in the world frame."""
+
+    distance_m: Array
+    """Signed surface distance (P,), negative when penetrating."""
+    normal: Array
+    """Unit vector n (P, 3) from j to i."""
+    witness_i_m: Array
+    """Witness point on i (P, 3): on the axis of a sphere or capsule, else on the surface."""
+    witness_j_m: Array
+    """Witness point on j (P, 3), likewise."""
+    surface_i_m: Array
+    """Nearest surface point of i (P, 3), for drawing."""
+    surface_j_m: Array
+    """Nearest surface point of j (P, 3), for drawing."""
+    jacobian: Array
+    """G = dd/dq (P, nv) in m/rad (m/m for slides)."""
+    degenerate: NDArray[np.bool_]
+    """(P,) true where crossing axes or coinciding points left n to choice."""
+
+    def rate_m_s(self, qvel: ArrayLike) -> Array:
+        """Time derivative of the distances (P,) for joint velocities (nv,): G qvel."""
+        return self.jacobian @ finite("qvel", qvel)
+
+
+class PairGeometry:
+    """What never changes about the watched pairs, resolved once from a model.
+
+    Args:
+        model: The model.
+        pairs: Geom ids (i, j) of each pair. One of the two must be a sphere or capsule, or both
+            convex solids (box, cylinder, ellipsoid, mesh, of which MuJoCo takes the convex hull).
+            A plane works against a sphere or capsule.
+        sensor_adr: Address in `sensordata` (P,) of each pair's `fromto` sensor, whose geoms are i
+            and j in this order, and whose cutoff exceeds every distance that can occur.
+
+    Raises:
+        InputError: A pair cannot be measured: all faults at once, naming the geoms.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, pairs: Sequence[tuple[int, int]], sensor_adr: ArrayLike
+    ):
+        self.geom_i, self.geom_j = np.array(pairs, dtype=int).reshape(-1, 2).T.copy()
+        self.sensor_adr = np.array(sensor_adr, dtype=int).reshape(-1)
+        self.body_i = model.geom_bodyid[self.geom_i]
+        self.body_j = model.geom_bodyid[self.geom_j]
+        self.radius_i_m, self.half_length_i_m = _core(model, self.geom_i)
+        self.radius_j_m, self.half_length_j_m = _core(model, self.geom_j)
+        self.face_half_size_i_m = _face_half_size(model, self.geom_i)
+        self.face_half_size_j_m = _face_half_size(model, self.geom_j)
+        moves = _moved_by(model)
+        self.moves_i = moves[self.body_i]
+        self.moves_j = moves[self.body_j]
+        self.sign = self.moves_i - self.moves_j
+        self.body_root = model.body_rootid.copy()
+        self.dof_root = model.body_rootid[model.dof_bodyid]
+        self.names = [
+            _pair_name(model, i, j) for i, j in zip(self.geom_i, self.geom_j, strict=True)
+        ]
+        faults = _faults(model, self)
+        if faults:
+            raise InputError(faults)
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+        self._columns = self.sensor_adr[:, None] + np.arange(6)
+
+    def __len__(self) -> int:
+        return len(self.geom_i)
+
+    def measure(self, data: mujoco.MjData) -> Proximity:
+        """Distance, direction, witness points and Jacobian of every pair.
+
+        Two round geoms (sphere, capsule): n and d come from the axis points, so they hold through
+        contact until the axes cross. There n is set perpendicular to both axes (`degenerate`).
+        One round geom: n runs from its surface point to its axis point, so it holds at contact;
+        once the axis itself enters the other geom, MuJoCo's witness points are approximate.
+        None: n is the line between the surface points; where these coincide it is the line of
+        the geom centres (`degenerate`).
+
+        Args:
+            data: After `mj_kinematics`, `mj_comPos` and `mj_sensorPos`.
+
+        Raises:
+            WorkcellError: A pair is beyond its sensor's cutoff, or a result is not finite.
+        """
+        fromto = data.sensordata[self._columns]
+        beyond = ~fromto.any(axis=1)
+        if beyond.any():
+            name = self.names[int(np.argmax(beyond))]
+            raise WorkcellError(
+                f"fromto sensor of {name} reads zero: the sensors were not computed, or the pair "
+                f"is beyond the sensor's cutoff; raise the cutoff above the size of the cell"
+            )
+        surface_i, surface_j = fromto[:, :3], fromto[:, 3:]
+        centre_i, centre_j = data.geom_xpos[self.geom_i], data.geom_xpos[self.geom_j]
+        half_i = half_axis(data, self.geom_i, self.half_length_i_m)
+        half_j = half_axis(data, self.geom_j, self.half_length_j_m)
+        round_i, round_j = self.radius_i_m > 0.0, self.radius_j_m > 0.0
+        witness_i = np.where(
+            round_i[:, None], _nearest_on_axis(surface_i, centre_i, half_i), surface_i
+        )
+        witness_j = np.where(
+            round_j[:, None], _nearest_on_axis(surface_j, centre_j, half_j), surface_j
+        )
+        gap = surface_i - surface_j
+        gap_length = np.linalg.norm(gap, axis=1)
+        between = witness_i - witness_j
+        axis_distance = np.linalg.norm(between, axis=1)
+        radii = self.radius_i_m + self.radius_j_m
+        both = round_i & round_j
+
+        # Each row gets a vector along n; it is normalised, and checked, in one place below.
+        along = between.copy()
+        only_i, only_j = round_i & ~round_j, round_j & ~round_i
+        along[only_i] = (witness_i - surface_i)[only_i]
+        along[only_j] = (surface_j - witness_j)[only_j]
+        neither = ~(round_i | round_j)
+        # All of a convex geom lies on the far side of its witness point, so the centres tell
+        # whether the line between the surface points leads out (separate) or in (penetrating).
+        inward = np.vecdot(gap, (centre_i - centre_j) - gap) < 0.0
+        along[neither] = np.where(inward[:, None], -gap, gap)[neither]
+
+        coincident = neither & (gap_length < COINCIDENT_TOLERANCE_M)
+        along[coincident] = (centre_i - centre_j)[coincident]
+        # Crossing axes leave the surface points apart by both radii along a direction that says
+        # nothing, and the nearest axis points to them within those radii of each other; separate
+        # pairs with the same gap have theirs twice as far apart.
+        crossing = (
+            both
+            & (gap_length > radii - CROSSING_TOLERANCE_M)
+            & (axis_distance < radii + CROSSING_TOLERANCE_M)
+        )
+        if crossing.any():
+            along[crossing] = _perpendicular(half_i[crossing], half_j[crossing])
+            inwards = -gap[crossing] / gap_length[crossing, None]
+            witness_i[crossing] = surface_i[crossing] + self.radius_i_m[crossing, None] * inwards
+            witness_j[crossing] = witness_i[crossing]
+            axis_distance[crossing] = 0.0
+
+        length = np.linalg.norm(along, axis=1)
+        undirected = length == 0.0
+        along[undirected], length[undirected] = (1.0, 0.0, 0.0), 1.0
+        normal = along / length[:, None]
+        distance = np.where(both, axis_distance - radii, np.vecdot(normal, gap))
+        if not np.isfinite(distance).all():
+            name = self.names[int(np.argmin(np.isfinite(distance)))]
+            raise WorkcellError(f"the distance of {name} is not finite; check qpos")
+        return Proximity(
+            distance_m=distance,
+            normal=normal,
+            witness_i_m=witness_i,
+            witness_j_m=witness_j,
+            surface_i_m=surface_i,
+            surface_j_m=surface_j,
+            jacobian=self._jacobian(data, normal, witness_i),
+            degenerate=crossing | coincident | undirected,
+        )
+
+    def _jacobian(self, data: mujoco.MjData, normal: Array, point: Array) -> Array:
+        """G = sign (n (nu + c x omega) + (w x n) omega): the line of n times the joint screws.
+
+        Both witness points lie on that line, so one product serves the joints of i and of j.
+        """
+        angular = data.cdof[:, :3]
+        linear = data.cdof[:, 3:] + np.cross(data.subtree_com[self.dof_root], angular)
+        return self.sign * (normal @ linear.T + np.cross(point, normal) @ angular.T)
+
+
+def half_axis(data: mujoco.MjData, geom: NDArray[np.int_], half_length_m: Array) -> Array:
+    """Half-axis vectors (P, 3) in the world: from a geom's centre to an end of its axis."""
+    return data.geom_xmat[geom].reshape(-1, 3, 3)[:, :, 2] * half_length_m[:, None]
+
+
+def _core(model: mujoco.MjModel, geom: NDArray[np.int_]) -> tuple[Array, Array]:
+    """Radius and half length of a geom's axis: (0, 0) for a geom that is not round."""
+    kind = model.geom_type[geom]
+    radius = np.where(np.isin(kind, _ROUND), model.geom_size[geom, 0], 0.0)
+    half_length = np.where(kind == _GEOM.mjGEOM_CAPSULE, model.geom_size[geom, 1], 0.0)
+    return radius, half_length
+
+
+def _face_half_size(model: mujoco.MjModel, geom: NDArray[np.int_]) -> Array:
+    """Half sizes (P, 3) of the geoms with flat faces: a box's, infinite for a plane, else zero."""
+    kind = model.geom_type[geom][:, None]
+    solid = np.where(kind == _GEOM.mjGEOM_BOX, model.geom_size[geom], 0.0)
+    return np.where(kind == _GEOM.mjGEOM_PLANE, np.inf, solid)
+
+
+def _moved_by(model: mujoco.MjModel) -> Array:
+    """1 where a dof (column) moves a body (row), itself or through a parent: (nbody, nv)."""
+    moves = np.zeros((model.nbody, model.nv))
+    moves[model.dof_bodyid, np.arange(model.nv)] = 1.0
+    for body in range(1, model.nbody):  # Parents come before their children.
+        moves[body] += moves[model.body_parentid[body]]
+    return moves
+
+
+def _faults(model: mujoco.MjModel, pairs: PairGeometry) -> list[str]:
+    faults = []
+    if len(pairs.sensor_adr) != len(pairs):
+        return [f"sensor_adr has {len(pairs.sensor_adr)} entries; must be one for each pair"]
+    sensor_at = {int(adr): k for k, adr in enumerate(model.sensor_adr)}
+    for k, (i, j) in enumerate(zip(pairs.geom_i, pairs.geom_j, strict=True)):
+        name = pairs.names[k]
+        kinds = {int(model.geom_type[i]), int(model.geom_type[j])}
+        if not kinds <= {*_ROUND, *_FLAT}:
+            faults.append(f"{name}: heightfields and signed distance fields are not supported")
+        if _GEOM.mjGEOM_PLANE in kinds and not kinds & {*_ROUND}:
+            faults.append(f"{name}: a plane may be paired with a sphere or capsule only")
+        if not pairs.sign[k].any():
+            faults.append(f"{name}: no joint moves one geom without the other")
+        sensor = sensor_at.get(int(pairs.sensor_adr[k]))
+        if sensor is None or not _reads(model, sensor, int(i), int(j)):
+            faults.append(
+                f"{name}: sensor_adr {pairs.sensor_adr[k]} is not the address of a fromto sensor "
+                f"from the first to the second geom"
+            )
+        elif not model.sensor_cutoff[sensor] > 0.0:
+            faults.append(f"{name}: its fromto sensor has cutoff 0 and would see contacts only")
+    return faults
+
+
+def _reads(model: mujoco.MjModel, sensor: int, i: int, j: int) -> bool:
+    return (
+        model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_GEOMFROMTO
+        and model.sensor_objtype[sensor] == mujoco.mjtObj.mjOBJ_GEOM
+        and model.sensor_reftype[sensor] == mujoco.mjtObj.mjOBJ_GEOM
+        and (model.sensor_objid[sensor], model.sensor_refid[sensor]) == (i, j)
+    )
+
+
+def _pair_name(model: mujoco.MjModel, i: int, j: int) -> str:
+    first, second = (model.geom(int(g)).name or f"geom {g}" for g in (i, j))
+    return f"pair {first} - {second}"
+
+
+def _nearest_on_axis(point: Array, centre: Array, half: Array) -> Array:
+    """The point of each axis (centre +- half) nearest to a point; the centre of a sphere's."""
+    length_squared = np.vecdot(half, half)
+    along = np.divide(
+        np.vecdot(point - centre, half),
+        length_squared,
+        out=np.zeros(len(point)),
+        where=length_squared > 0.0,
+    )
+    return centre + np.clip(along, -1.0, 1.0)[:, None] * half
+
+
+def _perpendicular(u: Array, v: Array) -> Array:
+    """A vector perpendicular to u and v, or to the longer one where they are parallel; x if both
+    are zero. Deterministic, and continuous in u and v away from those cases.
+    """
+    crossed = np.cross(u, v)
+    longer = np.where((np.vecdot(u, u) >= np.vecdot(v, v))[:, None], u, v)
+    least = np.eye(3)[np.argmin(np.abs(longer), axis=1)]
+    any_side = np.cross(longer, least)
+    scale = np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1)
+    skew = np.linalg.norm(crossed, axis=1) > CROSSING_PARALLEL_SINE * scale
+    return np.where(skew[:, None], crossed, any_side)
