@@ -1,0 +1,297 @@
+"""What a run amounts to: a few dozen numbers, each computed from the trace alone.
+
+In comes a trace; out comes one flat mapping from metric name to a number, a text or None (the run
+has no such thing: it never halted, no pair ever closed). A scenario's `[expect]` puts bounds on
+these names. Parameters such as t_min come from the trace's metadata entry `settings`, the resolved
+scenario, and pairs that are meant to meet from `meeting_pairs`, a list of [geom, geom].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.errors import TraceError
+from workcell.trace.table import Trace
+
+Floats = NDArray[np.float64]
+Metric = float | int | str | None
+
+SCALED_BELOW = 1.0 - 1e-6
+"""A factor below it counts as scaling: rounding of a free factor stays far above."""
+
+REVERSAL_FRACTION = 0.02
+"""Part of its peak by which a speed must turn back to count as a reversal: chosen to pass over
+the last digits of a solver and to catch chatter that an onlooker would see."""
+
+FLAT_TOLERANCES = (0.02, 0.05)
+"""How near t_min a scaled time to collision counts as held; the metric names carry the percent."""
+
+
+def summarise(trace: Trace) -> dict[str, Metric]:
+    """All metrics of a run.
+
+    Raises:
+        TraceError: The trace has no rows.
+    """
+    if not len(trace):
+        raise TraceError(f"{trace.source}: has no rows to summarise")
+    summary: dict[str, Metric] = {
+        "ticks": len(trace),
+        "duration_s": float(trace["time_s"][-1] - trace["time_s"][0]) + period_s(trace),
+        "final_mode": str(trace["mode"][-1]),
+        **_distances(trace),
+        **_times_to_collision(trace),
+        **_modes(trace, ""),
+    }
+    for arm in trace.layout.arms:
+        for name, value in {**_arm(trace, arm), **_modes(trace, f"{arm}.")}.items():
+            summary[f"{arm}.{name}"] = value
+    return summary
+
+
+@dataclass(frozen=True)
+class Span:
+    """Ticks `start` to `stop` - 1, in a row."""
+
+    start: int
+    """First tick."""
+    stop: int
+    """Tick after the last."""
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+def spans(mask: NDArray[np.bool_]) -> list[Span]:
+    """The runs of consecutive true entries of a (T,) mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return [Span(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def period_s(trace: Trace) -> float:
+    """Length of a control tick; 0 for a trace of a single row."""
+    time_s = trace["time_s"]
+    return float((time_s[-1] - time_s[0]) / (len(time_s) - 1)) if len(time_s) > 1 else 0.0
+
+
+def control_setting(trace: Trace, key: str) -> float | None:
+    """A number of the scenario's `[control]` table, None if the trace does not carry it."""
+    value = trace.metadata.get("settings", {}).get("control", {}).get(key)
+    return None if value is None else float(value)
+
+
+def support_arm(trace: Trace) -> str:
+    """The arm of lowest priority, whose speed is scaled: by the settings, else the last one."""
+    arms = trace.layout.arms
+    if not arms:
+        raise TraceError(f"{trace.source}: has no arms")
+    settings = {
+        arm["name"]: arm["priority"] for arm in trace.metadata.get("settings", {}).get("arm", [])
+    }
+    return max(arms, key=lambda arm: (settings.get(arm, -1), arms.index(arm)))
+
+
+def smallest_distance_m(trace: Trace, *, apart_only: bool = False) -> Floats:
+    """Smallest pair distance of every tick, (T,); infinite where there are no pairs.
+
+    Args:
+        apart_only: Leave out the pairs that are meant to meet.
+    """
+    keep = np.ones(len(trace.layout.pairs), dtype=bool)
+    if apart_only:
+        meeting = {frozenset(pair) for pair in trace.metadata.get("meeting_pairs", [])}
+        keep = np.array([frozenset(pair) not in meeting for pair in trace.layout.pairs], dtype=bool)
+    return trace["pair_distance_m"][:, keep].min(axis=1, initial=np.inf)
+
+
+def joint_columns(trace: Trace, arm: str) -> list[int]:
+    """Places of an arm's joints in velocity vectors, by the joints' prefix `<arm>/`."""
+    layout = trace.layout
+    if layout.nv != len(layout.joints):
+        raise TraceError(
+            f"{trace.source}: {len(layout.joints)} joints have {layout.nv} degrees of freedom; "
+            "metrics of joints need one each"
+        )
+    return [k for k, joint in enumerate(layout.joints) if joint.startswith(f"{arm}/")]
+
+
+def reversals(speed: Floats) -> int:
+    """How often a speed turns from rising to falling or back by more than `REVERSAL_FRACTION`."""
+    threshold = REVERSAL_FRACTION * float(np.max(np.abs(speed), initial=0.0))
+    if threshold == 0.0:
+        return 0
+    count, direction, extreme = 0, 0, float(speed[0])
+    for value in speed.tolist():
+        if direction * (value - extreme) > 0 or (
+            direction == 0 and abs(value - extreme) > threshold
+        ):
+            direction = direction or (1 if value > extreme else -1)
+            extreme = value
+        elif direction * (extreme - value) > threshold:
+            count, direction, extreme = count + 1, -direction, value
+    return count
+
+
+def decay_time_s(time_s: Floats, value: Floats) -> float | None:
+    """Time constant T of the least-squares fit value = c exp(-time/T); None if it does not decay.
+
+    A velocity scaled to keep its time to collision against a standing obstacle decays with
+    T = t_min (docs/theory.md, velocity scaling).
+    """
+    positive = value > 0
+    if positive.sum() < 3:
+        return None
+    slope = float(np.polyfit(time_s[positive] - time_s[0], np.log(value[positive]), 1)[0])
+    return -1.0 / slope if slope < 0 else None
+
+
+def longest_scaling(trace: Trace, arm: str) -> Span | None:
+    """The longest run of ticks in which the same pair scales the arm down."""
+    scaled = trace[f"{arm}.scale"] < SCALED_BELOW
+    pair = trace[f"{arm}.limiting_pair"]
+    found = [
+        span
+        for index in np.unique(pair[scaled & (pair >= 0)])
+        for span in spans(scaled & (pair == index))
+    ]
+    return max(found, key=len, default=None)
+
+
+def _distances(trace: Trace) -> dict[str, Metric]:
+    smallest = smallest_distance_m(trace)
+    apart = smallest_distance_m(trace, apart_only=True)
+    check = trace["check_distance_m"]
+    known = check[np.isfinite(check)]
+    result: dict[str, Metric] = {
+        "smallest_distance_m": None,
+        "smallest_distance_pair": None,
+        "smallest_distance_time_s": None,
+        "smallest_distance_apart_m": _finite(apart.min()),
+        "smallest_check_distance_m": float(known.min()) if known.size else None,
+    }
+    if trace.layout.pairs:
+        tick = int(np.argmin(smallest))
+        pair = int(np.argmin(trace["pair_distance_m"][tick]))
+        result["smallest_distance_m"] = float(smallest[tick])
+        result["smallest_distance_pair"] = " and ".join(trace.layout.pairs[pair])
+        result["smallest_distance_time_s"] = float(trace["time_s"][tick])
+    return result
+
+
+def _times_to_collision(trace: Trace) -> dict[str, Metric]:
+    """Smallest estimates, and how well t_min was held while an arm was scaled."""
+    t_min_s = control_setting(trace, "t_min_s")
+    measured, commanded = trace["ttc_s"], trace["ttc_command_s"]
+    result: dict[str, Metric] = {
+        "smallest_ttc_s": None,
+        "smallest_ttc_time_s": None,
+        "smallest_ttc_command_s": None,
+        "smallest_ttc_command_time_s": None,
+        "smallest_ttc_command_reason": None,
+    }
+    if not np.isnan(measured).all():
+        tick = int(np.nanargmin(measured))
+        result["smallest_ttc_s"] = float(measured[tick])
+        result["smallest_ttc_time_s"] = float(trace["time_s"][tick])
+    if not np.isnan(commanded).all():
+        tick = int(np.nanargmin(commanded))
+        reasons = {str(trace[f"{arm}.reason"][tick]) for arm in trace.layout.arms} - {""}
+        result["smallest_ttc_command_s"] = float(commanded[tick])
+        result["smallest_ttc_command_time_s"] = float(trace["time_s"][tick])
+        result["smallest_ttc_command_reason"] = ", ".join(sorted(reasons))
+    scaling = trace["mode"] == "scale"
+    result["scaling_ticks"] = int(scaling.sum())
+    for tolerance in FLAT_TOLERANCES:
+        name = f"ttc_held_within_{round(100 * tolerance)}_percent"
+        held = None
+        if t_min_s is not None and scaling.any():
+            # A pair that does not close any more is not held at t_min: NaN compares as false.
+            held = float(np.mean(np.abs(measured[scaling] / t_min_s - 1.0) <= tolerance))
+        result[name] = held
+    return result
+
+
+def _modes(trace: Trace, prefix: str) -> dict[str, Metric]:
+    """How long each rung acted and how often it changed."""
+    mode = trace[f"{prefix}mode"]
+    changes = int(np.sum(mode[1:] != mode[:-1]))
+    duration_s = len(trace) * period_s(trace)
+    result: dict[str, Metric] = {
+        "mode_changes": changes,
+        "mode_changes_per_s": changes / duration_s if duration_s > 0 else None,
+    }
+    for name, count in zip(*np.unique(mode.astype(str), return_counts=True), strict=True):
+        result[f"mode_{name}_ticks"] = int(count)
+    return result
+
+
+def _arm(trace: Trace, arm: str) -> dict[str, Metric]:
+    time_s, dt_s = trace["time_s"], period_s(trace)
+    scale = trace[f"{arm}.scale"]
+    speed = trace[f"{arm}.tool_speed_m_s"]
+    command = trace["command_rad_s"][:, joint_columns(trace, arm)]
+    span = longest_scaling(trace, arm)
+    halted = np.flatnonzero(trace["mode"] == "halt")
+    distance_decay = speed_decay = None
+    if span is not None:
+        window = slice(span.start, span.stop)
+        pair = int(trace[f"{arm}.limiting_pair"][span.start])
+        distance_decay = decay_time_s(time_s[window], trace["pair_distance_m"][window, pair])
+        speed_decay = decay_time_s(time_s[window], speed[window])
+    return {
+        "path_done_s": _path_done_s(trace, arm),
+        "peak_tool_speed_m_s": float(speed.max()),
+        "tool_speed_at_halt_m_s": float(speed[halted[0]]) if halted.size else None,
+        "max_tool_error_m": float(trace[f"{arm}.tool_error_m"].max()),
+        "max_tool_error_rad": float(trace[f"{arm}.tool_error_rad"].max()),
+        "elbow_travel_m": _elbow_travel_m(trace, arm),
+        "peak_joint_acceleration_rad_s2": _peak_derivative(command, dt_s, 1),
+        "peak_joint_jerk_rad_s3": _peak_derivative(command, dt_s, 2),
+        "speed_reversals": reversals(np.linalg.norm(command, axis=1)),
+        "smallest_scale": float(scale.min()),
+        "scaled_ticks": int(np.sum(scale < SCALED_BELOW)),
+        "longest_scaling_s": 0.0 if span is None else len(span) * dt_s,
+        "distance_decay_s": distance_decay,
+        "speed_decay_s": speed_decay,
+        **_reasons(trace, arm),
+    }
+
+
+def _path_done_s(trace: Trace, arm: str) -> float | None:
+    """When the arm's job came to its end: neither job nor progress changes any more after it."""
+    job, path_s = trace[f"{arm}.job"], trace[f"{arm}.path_s"]
+    moving = np.flatnonzero((job[1:] != job[:-1]) | (path_s[1:] != path_s[:-1]))
+    if not moving.size:
+        return float(trace["time_s"][0])
+    last = int(moving[-1]) + 1
+    return None if last == len(trace) - 1 else float(trace["time_s"][last])
+
+
+def _elbow_travel_m(trace: Trace, arm: str) -> float | None:
+    """Largest distance of the elbow from where it started."""
+    position = trace[f"{arm}.elbow_position_m"]
+    if np.isnan(position).all():
+        return None
+    return _finite(np.nanmax(np.linalg.norm(position - position[0], axis=1)))
+
+
+def _peak_derivative(command: Floats, dt_s: float, order: int) -> float | None:
+    """Largest difference quotient of the commanded joint velocities."""
+    if len(command) <= order or not command.shape[1]:
+        return None
+    return float(np.abs(np.diff(command, order, axis=0)).max() / dt_s**order)
+
+
+def _reasons(trace: Trace, arm: str) -> dict[str, Metric]:
+    """How many ticks each reason kept the command from what was wanted."""
+    reason = trace[f"{arm}.reason"].astype(str)
+    names, counts = np.unique(reason[reason != ""], return_counts=True)
+    return {f"reason_{n}_ticks": int(c) for n, c in zip(names, counts, strict=True)}
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
