@@ -50,7 +50,7 @@ class Checker:
             raise InputError(error.faults, file=scene_xml) from error
         self._search = NearestSearch(self.model, self.geometry, ceiling_m=settings.ceiling_m)
         self._masks = {0: self.table.watched}
-        self._before: dict[int, tuple[int, float]] = {}
+        self._before: dict[int, tuple[int, int, float]] = {}
 
     def answer(self, request: Request) -> Answer:
         """Checks one configuration. Depends on earlier requests only for closing speeds."""
@@ -62,11 +62,10 @@ class Checker:
         exempt_m, exempt_pair, fault = math.inf, (-1, -1), -1
         for k, exemption in enumerate(settings.exemptions):
             if not is_open[k]:
-                self._before.pop(k, None)
                 continue
             # Keys of exempt searches are negative, those of the rest are bit sets.
             found = self._search.nearest(self.table.exempt[k], -1 - k)
-            closing_m_s = self._closing_m_s(k, request.tick, found.distance_m)
+            closing_m_s = self._closing_m_s(k, request, found.distance_m)
             too_near = found.distance_m <= exemption.d_min_m
             broken = too_near or closing_m_s > exemption.max_closing_m_s
             # The first exemption whose terms are broken is the one reported, else the nearest.
@@ -96,13 +95,14 @@ class Checker:
             self._masks[key] = self.table.watched & ~lifted
         return self._masks[key], key
 
-    def _closing_m_s(self, k: int, tick: int, distance_m: float) -> float:
-        """Mean closing speed of exemption k since the last request, m/s; 0 for the first."""
+    def _closing_m_s(self, k: int, request: Request, distance_m: float) -> float:
+        """Mean closing speed of exemption k since the last request, m/s; 0 for a window's first."""
+        opened, tick = request.opened_ticks[k], request.tick
         before = self._before.get(k)
-        self._before[k] = (tick, distance_m)
-        if before is None or tick <= before[0]:
+        self._before[k] = (opened, tick, distance_m)
+        if before is None or before[0] != opened or tick <= before[1]:
             return 0.0
-        return (before[1] - distance_m) / ((tick - before[0]) * self.settings.period_s)
+        return (before[2] - distance_m) / ((tick - before[1]) * self.settings.period_s)
 
 
 def main() -> int:
@@ -203,8 +203,6 @@ class _Faults:
             case "slow":
                 time.sleep(self._fault.seconds)
                 return False
-            case "silent":
-                pass
             case "old_sequence":
                 link.answer(replace(answer, sequence=self._fault.from_sequence - 1))
             case "future_sequence":

@@ -18,7 +18,6 @@ FAULT_KINDS = (
     "crash_at_start",
     "hang_at_start",
     "slow",
-    "silent",
     "old_sequence",
     "future_sequence",
     "not_a_number",
