@@ -1,0 +1,411 @@
+"""The controller: one object, one tick at a time, the stages of a tick from top to bottom.
+
+    measure    state -> the controller's own belief: witness points, distances, G, rates
+    follow     operators and jobs -> wanted tool poses
+    plan       priority arms: the motion their operators ask for
+    support    support arms, by priority: inverse kinematics, then the factor that keeps t >= t_min
+    give_way   priority arms: self-motion, once every other velocity is settled
+    judge      the commanded time to collision, modes and reasons
+    write      actuator commands, and the record that becomes a row of the trace
+
+`control` is MuJoCo's control callback; only the measured state comes in through it and only
+actuator commands go out. An arm driven by jobs is a support arm: it is scaled. An arm driven by an
+operator has priority: it is not, and its tool never gives way to the null space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from workcell.control import criteria, ttc
+from workcell.control.ik import ArmIk, IkSolution
+from workcell.control.proximity import PairGeometry, Proximity
+from workcell.control.scaling import FactorGovernor, ScaleBound, acceleration_interval, pairwise_factor
+from workcell.control.servo import ServoCommand
+from workcell.errors import ControlFault
+from workcell.motion.jobs import JobSequence, Surroundings
+from workcell.motion.operator import make_operator
+from workcell.motion.path import Target, standing
+from workcell.scene.cell import Cell
+from workcell.scene.handles import ArmHandles
+
+SELF_MOTION_RAD_S = 0.01
+"""Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
+MODES = ("run", "self_motion", "scale", "hold", "halt", "stop")
+"""Rungs in rising order of severity; the cell's mode is its most severe arm's."""
+
+
+@dataclass
+class ArmRecord:
+    """One arm's part of a tick's record; fields are the arm signals of `workcell.signals`."""
+
+    target_position_m: NDArray[np.float64]
+    target_wxyz: NDArray[np.float64]
+    job: str
+    path_s: float
+    tool_position_m: NDArray[np.float64]
+    tool_wxyz: NDArray[np.float64]
+    tool_speed_m_s: float
+    tool_error_m: float
+    tool_error_rad: float
+    elbow_position_m: NDArray[np.float64] | None
+    artc_per_s: float
+    armd_per_m: float
+    ik_status: str = ""
+    scale: float = 1.0
+    limiting_pair: int | None = None
+    reason: str = ""
+    mode: str = "run"
+
+
+@dataclass
+class TickRecord:
+    """Everything a tick saw, wanted and did; fields are the cell signals of `workcell.signals`."""
+
+    tick: int
+    time_s: float
+    qpos: NDArray[np.float64]
+    qvel: NDArray[np.float64]
+    pair_distance_m: NDArray[np.float64]
+    pair_rate_m_s: NDArray[np.float64]
+    closest_pair: int | None
+    ttc_s: float | None
+    ttc_pair: int | None
+    witness_i_m: NDArray[np.float64] | None
+    witness_j_m: NDArray[np.float64] | None
+    wanted_rad_s: NDArray[np.float64]
+    command_rad_s: NDArray[np.float64]
+    ttc_command_s: float | None = None
+    check_distance_m: float | None = None
+    check_state: str = "off"
+    mode: str = "run"
+    arms: dict[str, ArmRecord] = field(default_factory=dict)
+
+
+class _Arm:
+    """What the controller keeps for one arm: its part of the pairs, its solver, its driver."""
+
+    def __init__(self, cell: Cell, handles: ArmHandles, configuration: mink.Configuration):
+        control, dt, nv = cell.scenario.control, cell.period_s, cell.model.nv
+        settings = next(arm for arm in cell.scenario.arm if arm.name == handles.name)
+        self.handles = handles
+        self.dofs = handles.dofs
+        self.support = bool(settings.job)
+        self.ik = ArmIk(handles, nv=nv, dt_s=dt, task_gain_per_s=control.task_gain_per_s, criterion_gain=control.criterion_gain)
+        self.servo = ServoCommand(handles, dt_s=dt)
+        self.governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=dt)
+        pose = configuration.get_transform_frame_to_world(handles.tool_site_name, "site")
+        position, wxyz = pose.translation(), pose.rotation().wxyz
+        self.jobs = JobSequence(settings.job, position, wxyz, control.d_min_m) if self.support else None
+        self.operator = None if settings.operator is None else make_operator(settings.operator, position, wxyz)
+        owners = cell.pairs.owners
+        self.all_pairs = np.array([k for k, pair in enumerate(owners) if handles.name in pair], dtype=np.intp)
+        self.criterion_pairs = np.array([k for k in self.all_pairs if owners[k][0] != owners[k][1]], dtype=np.intp)
+        """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
+        self.owned_pairs = np.array([], dtype=np.intp)
+        """Pairs this arm answers for by slowing down; set once the order of the arms is known."""
+        self.tool_pairs: dict[str, list[int]] = {}
+        """Pairs of this arm's tool with another arm's tool, by the other's name."""
+        self.jacobian = np.zeros((6, nv))
+        self.target: Target = standing(position, wxyz)
+        self.command_rad_s = np.zeros(len(handles.dofs))
+        self.wanted_rad_s = np.zeros(len(handles.dofs))
+        self.task_rad_s = np.zeros(len(handles.dofs))
+        self.factor = 1.0
+
+
+class Controller:
+    """Controls all arms of a cell.
+
+    Args:
+        cell: The compiled cell; the controller makes its own data and never touches the plant's.
+    """
+
+    def __init__(self, cell: Cell):
+        self.cell = cell
+        self.tick = 0
+        self._dt = cell.period_s
+        self._settings = cell.scenario.control
+        self._belief = mink.Configuration(cell.model)
+        cell.place_home(self._belief.data)
+        self._belief.update()
+        self._geometry = PairGeometry(cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr)
+        self._arms = [_Arm(cell, handles, self._belief) for handles in cell.arms]
+        self._priority = [arm for arm in self._arms if not arm.support]
+        self._support = sorted((arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority)
+        self._share_pairs()
+        self._accel_m_s2: NDArray[np.float64] | None = None
+        self._record: TickRecord | None = None
+
+    @property
+    def record(self) -> TickRecord:
+        """The record of the last tick."""
+        if self._record is None:
+            raise RuntimeError("the controller has not ticked yet")
+        return self._record
+
+    def control(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """MuJoCo's control callback: one tick, from the plant's state to its actuator commands."""
+        self.step(data.qpos, data.qvel)
+        for arm in self._arms:
+            if arm.servo.write(data, np.asarray(data.qpos)[arm.handles.qpos], arm.command_rad_s):
+                record = self.record.arms[arm.handles.name]
+                record.reason = record.reason or "servo_lag"
+
+    def step(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> TickRecord:
+        """One tick, from a measured state to a record with the commands; pure but for the controller's own memory.
+
+        Raises:
+            ControlFault: a state, target or solution is not finite.
+        """
+        record, proximity = self._measure(np.array(qpos), np.array(qvel))
+        self._follow(record, proximity)
+        self._plan()
+        for arm in self._support:
+            self._steer(arm, record, proximity)
+        for arm in self._priority:
+            self._give_way(arm, record, proximity)
+        self._judge(record, proximity)
+        self._record = record
+        self.tick += 1
+        return record
+
+    # ---------------------------------------------------------------- stages of a tick
+
+    def _measure(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> tuple[TickRecord, Proximity]:
+        self._finite(qpos, "qpos, the measured joint positions")
+        self._finite(qvel, "qvel, the measured joint velocities")
+        belief, model = self._belief, self.cell.model
+        belief.data.qvel[:] = qvel
+        belief.update(qpos)
+        mujoco.mj_comVel(model, belief.data)
+        mujoco.mj_sensorPos(model, belief.data)
+        proximity = self._geometry.measure(belief.data)
+        rate = proximity.rate_m_s(qvel)
+        kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
+        if self._settings.order == 2:
+            second = self._geometry.second_order(belief.data, proximity, np.zeros(model.nv))
+            self._accel_m_s2 = second.accel_m_s2
+            kappa = ttc.reciprocal_second_order(proximity.distance_m, rate, second.accel_m_s2)
+        first = ttc.smallest(kappa)
+        closest = int(np.argmin(proximity.distance_m)) if len(rate) else None
+        shown = first.pair if first.pair >= 0 else closest
+        record = TickRecord(
+            tick=self.tick,
+            time_s=self.tick * self._dt,
+            qpos=qpos,
+            qvel=qvel,
+            pair_distance_m=proximity.distance_m,
+            pair_rate_m_s=rate,
+            closest_pair=closest,
+            ttc_s=_or_none(first.ttc_s),
+            ttc_pair=None if first.pair < 0 else first.pair,
+            witness_i_m=None if shown is None else proximity.surface_i_m[shown],
+            witness_j_m=None if shown is None else proximity.surface_j_m[shown],
+            wanted_rad_s=np.zeros(model.nv),
+            command_rad_s=np.zeros(model.nv),
+        )
+        for arm in self._arms:
+            record.arms[arm.handles.name] = self._look_at(arm, record)
+        return record, proximity
+
+    def _look_at(self, arm: _Arm, record: TickRecord) -> ArmRecord:
+        data, handles = self._belief.data, arm.handles
+        arm.jacobian = self._belief.get_frame_jacobian(handles.tool_site_name, "site")
+        wxyz = np.empty(4)
+        mujoco.mju_mat2Quat(wxyz, data.site_xmat[handles.tool_site])
+        distance = record.pair_distance_m[arm.criterion_pairs]
+        rate = record.pair_rate_m_s[arm.criterion_pairs]
+        artc = criteria.artc_approaching if self._settings.criterion == "artc_approaching" else criteria.artc_signed
+        return ArmRecord(
+            target_position_m=arm.target.position_m,
+            target_wxyz=arm.target.wxyz,
+            job="",
+            path_s=0.0,
+            tool_position_m=data.site_xpos[handles.tool_site].copy(),
+            tool_wxyz=wxyz,
+            tool_speed_m_s=float(np.linalg.norm(arm.jacobian[:3] @ record.qvel)),
+            tool_error_m=0.0,
+            tool_error_rad=0.0,
+            elbow_position_m=None if handles.elbow_site is None else data.site_xpos[handles.elbow_site].copy(),
+            artc_per_s=artc(distance, rate),
+            armd_per_m=criteria.armd(distance),
+        )
+
+    def _follow(self, record: TickRecord, proximity: Proximity) -> None:
+        """Advance every driver and hand its target to the inverse kinematics."""
+        tools = {name: arm.tool_position_m for name, arm in record.arms.items()}
+        for arm in self._arms:
+            row = record.arms[arm.handles.name]
+            if arm.jobs is not None:
+                if self.tick:
+                    arm.jobs.advance(self._dt, arm.factor, Surroundings(tools, self._tool_distances(arm, proximity)))
+                arm.target = arm.jobs.target()
+                row.job, row.path_s = arm.jobs.name, arm.jobs.clock_s
+                if arm.jobs.switched:
+                    # The new path starts from rest: acceleration now counts from what was really commanded.
+                    arm.wanted_rad_s = arm.command_rad_s
+            elif arm.operator is not None:
+                arm.target = arm.operator.target(record.time_s)
+                row.job, row.path_s = arm.operator.name, record.time_s
+            for value in (arm.target.position_m, arm.target.wxyz, arm.target.velocity_m_s, arm.target.angular_velocity_rad_s):
+                self._finite(value, f"the tool target of arm {arm.handles.name} from {row.job}")
+            row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
+            row.tool_error_m = float(np.linalg.norm(row.tool_position_m - row.target_position_m))
+            row.tool_error_rad = _angle(row.tool_wxyz, row.target_wxyz)
+            arm.ik.tool.follow(arm.target)
+            arm.task_rad_s = arm.ik.least_motion(self._belief)
+
+    def _plan(self) -> None:
+        """What others may count on: a priority arm does what its operator asks, and no self-motion that helps them."""
+        for arm in self._priority:
+            arm.ik.limit.previous_rad_s = arm.command_rad_s
+            arm.command_rad_s = arm.task_rad_s
+
+    def _steer(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
+        """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
+        row = record.arms[arm.handles.name]
+        other = self._rate_of_others(arm, proximity) if self._settings.variant == "relative" else np.zeros(len(proximity.distance_m))
+        arm.ik.limit.previous_rad_s = arm.wanted_rad_s
+        solution = self._solve(arm, record, proximity, other)
+        row.ik_status = solution.status
+        arm.wanted_rad_s = solution.velocity_rad_s
+        owned = arm.owned_pairs
+        own = proximity.jacobian[np.ix_(owned, arm.dofs)] @ arm.wanted_rad_s
+        bound = self._bound(arm, proximity, own, other[owned])
+        interval = acceleration_interval(arm.command_rad_s, arm.wanted_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
+        choice = arm.governor.choose(bound.factor, interval)
+        arm.factor = choice.factor
+        arm.command_rad_s = choice.factor * arm.wanted_rad_s
+        row.scale = choice.factor
+        row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
+        row.reason = "" if choice.limiter == "none" else choice.limiter
+        if bound.shortfall_m_s > 0.0:
+            row.reason = "other_arm"
+        row.mode = self._mode_of_support(arm, row, proximity)
+
+    def _bound(self, arm: _Arm, proximity: Proximity, own: NDArray[np.float64], other: NDArray[np.float64]) -> ScaleBound:
+        """The pairwise rule; pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
+        settings = self._settings
+        distance = proximity.distance_m[arm.owned_pairs]
+        counted = np.where(distance <= settings.d_min_m, np.minimum(distance, 0.0), distance)
+        bound = pairwise_factor(counted, own, other, settings.t_min_s, standoff_m=settings.standoff_m)
+        if self._accel_m_s2 is None:
+            return bound
+        first = ttc.smallest(ttc.reciprocal_second_order(counted, own + other, self._accel_m_s2[arm.owned_pairs], standoff_m=settings.standoff_m))
+        factor = min(1.0, first.ttc_s / settings.t_min_s)
+        return replace(bound, factor=factor, pair=first.pair if factor < 1.0 else -1)
+
+    def _give_way(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
+        """A priority arm: what its operator asks, plus self-motion that endangers nothing."""
+        row = record.arms[arm.handles.name]
+        solution = self._solve(arm, record, proximity, self._rate_of_others(arm, proximity))
+        row.ik_status = solution.status
+        arm.wanted_rad_s = arm.command_rad_s = solution.velocity_rad_s
+        beyond = np.abs(arm.command_rad_s - arm.task_rad_s).max()
+        row.mode = "self_motion" if beyond > SELF_MOTION_RAD_S else "run"
+
+    def _judge(self, record: TickRecord, proximity: Proximity) -> None:
+        for arm in self._arms:
+            self._finite(arm.command_rad_s, f"the command of arm {arm.handles.name}")
+            record.wanted_rad_s[arm.dofs] = arm.wanted_rad_s
+            record.command_rad_s[arm.dofs] = arm.command_rad_s
+        rate = proximity.rate_m_s(record.command_rad_s)
+        first = ttc.smallest(ttc.reciprocal_first_order(proximity.distance_m, rate))
+        record.ttc_command_s = _or_none(first.ttc_s)
+        record.mode = max((row.mode for row in record.arms.values()), key=MODES.index)
+
+    # ---------------------------------------------------------------- parts of the stages
+
+    def _solve(self, arm: _Arm, record: TickRecord, proximity: Proximity, other: NDArray[np.float64]) -> IkSolution:
+        """Inverse kinematics with the arm's criterion and the inequality on its self-motion.
+
+        A row forbids what would bring a pair below t_min, but never asks for more than the tool
+        task alone gives: what the path or the operator wants is not the null space's to refuse.
+        """
+        settings, pairs = self._settings, arm.criterion_pairs
+        own_rate = record.pair_rate_m_s if not arm.support else proximity.jacobian[:, arm.dofs] @ record.qvel[arm.dofs]
+        arm.ik.criterion.objective = criteria.objective(
+            settings.criterion,
+            proximity.distance_m[pairs],
+            own_rate[pairs],
+            proximity.jacobian[np.ix_(pairs, arm.dofs)],
+            other_rate_m_s=other[pairs],
+        )
+        rows = proximity.jacobian[arm.all_pairs]
+        own = rows[:, arm.dofs]
+        distance = proximity.distance_m[arm.all_pairs] - settings.standoff_m
+        allowed = np.where(distance <= settings.d_min_m, 0.0, -distance / settings.t_min_s) - other[arm.all_pairs]
+        allowed = np.minimum(allowed, own @ arm.task_rad_s)
+        reachable = -np.abs(own) @ arm.handles.velocity_limit_rad_s
+        near = allowed > reachable  # the rest cannot be violated at any allowed velocity
+        arm.ik.ttc.give(rows[near], allowed[near])
+        try:
+            return arm.ik.solve(self._belief)
+        except FloatingPointError as error:
+            raise ControlFault(self.tick, str(error)) from error
+
+    def _rate_of_others(self, arm: _Arm, proximity: Proximity) -> NDArray[np.float64]:
+        """(P,) the part of each pair's rate that the other arms' present commands cause."""
+        velocity = np.zeros(self.cell.model.nv)
+        for other in self._arms:
+            if other is not arm:
+                velocity[other.dofs] = other.command_rad_s
+        return proximity.jacobian @ velocity
+
+    def _mode_of_support(self, arm: _Arm, row: ArmRecord, proximity: Proximity) -> str:
+        jobs = arm.jobs
+        if jobs is None:
+            return "run"
+        if jobs.arrived:
+            return "halt"
+        if jobs.done or row.job == "wait":
+            return "hold"
+        limiting = row.limiting_pair
+        if limiting is not None and row.scale < 1.0:
+            return "halt" if proximity.distance_m[limiting] <= self._settings.d_min_m else "scale"
+        return "run"
+
+    def _tool_distances(self, arm: _Arm, proximity: Proximity) -> dict[str, float]:
+        """Smallest distance between the arm's tool and each other arm's tool."""
+        return {name: float(proximity.distance_m[pairs].min()) for name, pairs in arm.tool_pairs.items()}
+
+    def _share_pairs(self) -> None:
+        """Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
+
+        Between two arms it is the support arm, of two support arms the one with the higher priority
+        number, of equals the later in the scenario.
+        """
+        model, pairs = self.cell.model, self.cell.pairs
+        rank = {arm.handles.name: (arm.support, arm.handles.priority, index) for index, arm in enumerate(self._arms)}
+        tool_body = {arm.handles.name: model.site_bodyid[arm.handles.tool_site] for arm in self._arms}
+        for arm in self._arms:
+            name = arm.handles.name
+            for k, owners in enumerate(pairs.owners):
+                parties = [owner for owner in owners if owner is not None]
+                if arm.support and name in parties and name == max(parties, key=rank.__getitem__):
+                    arm.owned_pairs = np.append(arm.owned_pairs, k)
+                if name in parties and all(owner is not None and model.geom_bodyid[g] == tool_body[owner] for g, owner in zip(pairs.geoms[k], owners, strict=True)):
+                    for other in parties:
+                        if other != name:
+                            arm.tool_pairs.setdefault(other, []).append(k)
+
+    def _finite(self, values: NDArray[np.float64], what: str) -> None:
+        if not np.isfinite(values).all():
+            raise ControlFault(self.tick, f"{what}, is not finite: {np.asarray(values).tolist()}")
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _angle(a_wxyz: NDArray[np.float64], b_wxyz: NDArray[np.float64]) -> float:
+    """Angle of the rotation between two unit quaternions, accurate near zero."""
+    relative = Rotation.from_quat(a_wxyz, scalar_first=True).inv() * Rotation.from_quat(b_wxyz, scalar_first=True)
+    return float(relative.magnitude())

@@ -1,0 +1,252 @@
+"""Inverse kinematics of one arm: tool twist and null-space criterion -> joint velocities.
+
+One quadratic program an arm, in the displacement Δq = q̇ dt of the arm's own joints:
+
+    minimise  ½ q̇ᵀ H q̇ + cᵀ q̇        (least motion plus the null-space criterion)
+    subject to  J q̇ = tool twist       (the tool is never traded for the null space)
+                position, velocity and acceleration limits
+                ḋ >= bound              (the time-to-collision inequality on self-motion)
+
+Built by mink from its own and our tasks and limits, solved by daqp. When it has no solution a
+written ladder of weaker programs follows, and the answer says which rung it came from. The tasks
+and limits are usable with any mink `Configuration`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mink
+import mujoco
+import numpy as np
+import qpsolvers
+from mink.limits.limit import Constraint
+from mink.tasks.task import BaseTask, Objective
+from numpy.typing import NDArray
+
+from workcell.control.criteria import NullspaceObjective
+from workcell.control.proximity import PairGeometry
+from workcell.motion.path import Target
+from workcell.scene.handles import ArmHandles
+
+SOLVER = "daqp"
+TASK_COST = 1e3
+"""Weight of the tool task where it cannot be an equality, against 1 for the motion of the joints: the
+tool then gives way by about 1e-6 of what the criterion asks for."""
+LEAST_MOTION_DAMPING = 1e-6
+"""Regularises the least-norm solution near singular configurations; small against J Jᵀ of order 0.1."""
+
+OPTIMAL = "optimal"
+TASK_ONLY = "task_only"
+TASK_SOFT = "task_soft"
+STOPPED = "stopped"
+
+
+class ToolTask(mink.FrameTask):
+    """mink's frame task with the target's own velocity fed forward, and one rotation axis optional.
+
+    Args:
+        site: Full name of the tool site.
+        gain_per_s: Rate at which a tool error is corrected.
+        dt_s: Control period.
+    """
+
+    def __init__(self, site: str, *, gain_per_s: float, dt_s: float):
+        super().__init__(site, "site", position_cost=TASK_COST, orientation_cost=TASK_COST, gain=min(1.0, gain_per_s * dt_s))
+        self._dt_s = dt_s
+        self._twist = np.zeros(6)
+
+    def follow(self, target: Target) -> None:
+        """Set pose and twist of the target, both in the world frame."""
+        rotation = mink.SO3(np.asarray(target.wxyz))
+        self.set_target(mink.SE3.from_rotation_and_translation(rotation, target.position_m))
+        back = rotation.inverse()
+        self._twist = np.concatenate([back.apply(target.velocity_m_s), back.apply(target.angular_velocity_rad_s)])
+
+    def compute_error(self, configuration: mink.Configuration) -> NDArray[np.float64]:
+        """mink's body twist from the tool to its target, plus what the target moves within this step."""
+        return super().compute_error(configuration) + self._ahead()
+
+    def _error_and_jacobian(self, configuration: mink.Configuration) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        error, jacobian = super()._error_and_jacobian(configuration)
+        return error + self._ahead(), jacobian
+
+    def _ahead(self) -> NDArray[np.float64]:
+        # mink multiplies the error by the gain; dividing here leaves the fed-forward twist whole.
+        return self._twist * (self._dt_s / self.gain)
+
+
+class CriterionTask(BaseTask):
+    """The null-space criterion and the wish for little motion, as a quadratic cost in q̇.
+
+    Args:
+        dofs: (n,) indices of the arm's joints in the tangent space.
+        nv: Size of the tangent space.
+        dt_s: Control period.
+        gain: Weight of the criterion against ½|q̇|².
+    """
+
+    def __init__(self, dofs: NDArray[np.intp], *, nv: int, dt_s: float, gain: float):
+        self.dofs = dofs
+        self.gain = gain
+        self._dt_s = dt_s
+        self._eye = np.zeros((nv, nv))
+        self._eye[dofs, dofs] = 1.0
+        self.objective: NullspaceObjective | None = None
+
+    def compute_qp_objective(self, configuration: mink.Configuration) -> Objective:
+        """Objective in Δq = q̇ dt, scaled by dt² so that it compares with ½|Δq|²."""
+        H, c = self._eye.copy(), np.zeros(len(self._eye))
+        if self.objective is not None and self.gain > 0.0:
+            H[np.ix_(self.dofs, self.dofs)] += self.gain * self.objective.hessian
+            c[self.dofs] += self.gain * self._dt_s * self.objective.linear
+        return Objective(H, c)
+
+
+class JointLimit(mink.Limit):
+    """Position, velocity and acceleration limits of an arm as one box on Δq, never empty.
+
+    The position bound is the speed from which the joint can still brake before its end stop, so it
+    agrees with the acceleration bound; where they disagree all the same (a joint put beyond its
+    range), the position bound wins.
+    """
+
+    def __init__(self, arm: ArmHandles, *, nv: int):
+        self.arm = arm
+        self.previous_rad_s = np.zeros(len(arm.dofs))
+        """(n,) last commanded velocity, from which the acceleration counts."""
+        self._rows = np.zeros((2 * len(arm.dofs), nv))
+        n = len(arm.dofs)
+        self._rows[np.arange(n), arm.dofs] = 1.0
+        self._rows[np.arange(n, 2 * n), arm.dofs] = -1.0
+
+    def bounds(self, q_rad: NDArray[np.float64], dt_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n,) smallest and largest joint velocity."""
+        arm = self.arm
+        low = np.maximum(-arm.velocity_limit_rad_s, -_approach(q_rad - arm.lower_rad, arm, dt_s))
+        high = np.minimum(arm.velocity_limit_rad_s, _approach(arm.upper_rad - q_rad, arm, dt_s))
+        step = arm.acceleration_limit_rad_s2 * dt_s
+        return np.minimum(np.maximum(low, self.previous_rad_s - step), high), np.maximum(np.minimum(high, self.previous_rad_s + step), low)
+
+    def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> Constraint:
+        """Rows ±1 on the arm's joints."""
+        low, high = self.bounds(configuration.data.qpos[self.arm.qpos], dt)
+        return Constraint(G=self._rows, h=np.concatenate([high, -low]) * dt)
+
+
+class TtcLimit(mink.Limit):
+    """Keeps t = -d/ḋ >= t_min on watched pairs: ḋ >= -d/t_min, row by row (theory: section 5).
+
+    Used by itself it measures the pairs on the configuration's data; the controller hands it the
+    rows it has measured already, with bounds that take the other arms' motion into account.
+
+    Args:
+        geometry: The watched pairs.
+        t_min_s: Smallest time to collision allowed.
+        standoff_m: Distance the time is counted to.
+    """
+
+    def __init__(self, geometry: PairGeometry | None = None, *, t_min_s: float, standoff_m: float = 0.0):
+        self.geometry = geometry
+        self.t_min_s = t_min_s
+        self.standoff_m = standoff_m
+        self._given: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    def give(self, jacobian: NDArray[np.float64], smallest_rate_m_s: NDArray[np.float64]) -> None:
+        """Use these rows G q̇ >= bound instead of measuring; (R, nv) and (R,)."""
+        self._given = jacobian, smallest_rate_m_s
+
+    def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> Constraint:
+        """-G Δq <= -bound dt."""
+        if self._given is not None:
+            jacobian, bound = self._given
+        elif self.geometry is not None:
+            mujoco.mj_sensorPos(configuration.model, configuration.data)
+            measured = self.geometry.measure(configuration.data)
+            jacobian, bound = measured.jacobian, (self.standoff_m - measured.distance_m) / self.t_min_s
+        else:
+            raise ValueError("TtcLimit needs either a PairGeometry or rows given beforehand")
+        if not len(bound):
+            return Constraint()
+        return Constraint(G=-jacobian, h=-bound * dt)
+
+
+@dataclass(frozen=True)
+class IkSolution:
+    """Joint velocities of one arm."""
+
+    velocity_rad_s: NDArray[np.float64]
+    """(n,)"""
+    status: str
+    """`optimal`, or the fallback that answered: `task_only` (no self-motion), `task_soft` (the tool gives way), `stopped`."""
+
+
+class ArmIk:
+    """The inverse kinematics of one arm.
+
+    Args:
+        arm: Its addresses and limits.
+        nv: Size of the model's tangent space.
+        dt_s: Control period.
+        task_gain_per_s: Rate at which tool errors are corrected.
+        criterion_gain: Weight of the null-space criterion.
+    """
+
+    def __init__(self, arm: ArmHandles, *, nv: int, dt_s: float, task_gain_per_s: float, criterion_gain: float):
+        self.arm = arm
+        self.dt_s = dt_s
+        self.tool = ToolTask(arm.tool_site_name, gain_per_s=task_gain_per_s, dt_s=dt_s)
+        self.criterion = CriterionTask(arm.dofs, nv=nv, dt_s=dt_s, gain=criterion_gain)
+        self.limit = JointLimit(arm, nv=nv)
+        self.ttc = TtcLimit(t_min_s=1.0)
+
+    def least_motion(self, configuration: mink.Configuration) -> NDArray[np.float64]:
+        """(n,) the smallest joint velocity that gives the tool its wanted twist, limits aside."""
+        jacobian = self.tool.compute_jacobian(configuration)[:, self.arm.dofs]
+        wanted = -self.tool.gain * self.tool.compute_error(configuration) / self.dt_s
+        gram = jacobian @ jacobian.T
+        gram.flat[:: len(gram) + 1] += LEAST_MOTION_DAMPING
+        return jacobian.T @ np.linalg.solve(gram, wanted)
+
+    def solve(self, configuration: mink.Configuration) -> IkSolution:
+        """Descend the ladder until a program has a finite solution within its limits."""
+        for status, tasks, limits, constraints in (
+            (OPTIMAL, [self.criterion], [self.limit, self.ttc], [self.tool]),
+            (TASK_ONLY, [self._still], [self.limit], [self.tool]),
+            (TASK_SOFT, [self._still, self.tool], [self.limit], []),
+        ):
+            problem = mink.build_ik(configuration, tasks, self.dt_s, damping=0.0, limits=limits, constraints=constraints)
+            velocity = self._solve(problem, configuration)
+            if velocity is not None:
+                return IkSolution(velocity, status)
+        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
+        return IkSolution(np.clip(0.0, low, high), STOPPED)
+
+    @property
+    def _still(self) -> CriterionTask:
+        return CriterionTask(self.arm.dofs, nv=len(self.criterion._eye), dt_s=self.dt_s, gain=0.0)
+
+    def _solve(self, problem: qpsolvers.Problem, configuration: mink.Configuration) -> NDArray[np.float64] | None:
+        """Solve the program restricted to this arm's joints; None where there is no acceptable solution."""
+        dofs = self.arm.dofs
+        P, c = problem.P[np.ix_(dofs, dofs)], problem.q[dofs]
+        G, h = problem.G[:, dofs], problem.h
+        A = None if problem.A is None else problem.A[:, dofs]
+        for array in (P, c, G, h, A, problem.b):
+            if array is not None and not np.isfinite(array).all():
+                raise FloatingPointError(f"arm {self.arm.name}: inverse kinematics was given a number that is not finite")
+        result = qpsolvers.solve_problem(qpsolvers.Problem(P, c, G, h, A, problem.b), solver=SOLVER)
+        if not result.found or result.x is None or not np.isfinite(result.x).all():
+            return None
+        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
+        # The solver keeps its inequalities to a tolerance; the limits are meant exactly.
+        return np.clip(result.x / self.dt_s, low, high)
+
+
+def _approach(distance_rad: NDArray[np.float64], arm: ArmHandles, dt_s: float) -> NDArray[np.float64]:
+    """(n,) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
+    a = arm.acceleration_limit_rad_s2
+    inside = np.maximum(distance_rad, 0.0)
+    with np.errstate(over="ignore"):
+        speed = -a * dt_s / 2 + np.sqrt((a * dt_s / 2) ** 2 + 2 * a * inside)
+    return np.where(distance_rad < 0, np.maximum(distance_rad / dt_s, -arm.velocity_limit_rad_s), speed)

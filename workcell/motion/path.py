@@ -1,0 +1,188 @@
+"""Smooth tool paths: waypoints -> pose and twist at a time along the path.
+
+Geometry and timing are apart. `PathGeometry` is a twice continuously differentiable curve through
+the waypoints, parametrised by length; `TimedPath` runs along it at a cruise speed, from rest to
+rest. Its clock is the path's own: an arm that is slowed down advances the clock more slowly and
+stays on the curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+TURN_LENGTH_M_PER_RAD = 0.25
+"""Turning counts as length, so that a turn on the spot takes time too; chosen: about a hand's distance from the wrist."""
+_STEP_M = 0.005
+"""Spacing of the table a geometry is tabulated in; its cubic interpolation is then good to about 1e-8 m."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a tool should be and how it should move, in the world frame."""
+
+    position_m: NDArray[np.float64]
+    """(3,)"""
+    wxyz: NDArray[np.float64]
+    """(4,) unit quaternion"""
+    velocity_m_s: NDArray[np.float64]
+    """(3,) of the tool point"""
+    angular_velocity_rad_s: NDArray[np.float64]
+    """(3,)"""
+
+
+def standing(position_m: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Target:
+    """A target that does not move."""
+    return Target(np.array(position_m), np.array(wxyz), np.zeros(3), np.zeros(3))
+
+
+class PathGeometry:
+    """A smooth curve of tool poses.
+
+    Args:
+        positions_m: (K, 3) waypoints in the world, K >= 1.
+        wxyz: (K, 4) unit quaternions.
+    """
+
+    def __init__(self, positions_m: Sequence[Sequence[float]] | NDArray[np.float64], wxyz: Sequence[Sequence[float]] | NDArray[np.float64]):
+        positions, quaternions = _without_repeats(np.asarray(positions_m, dtype=float), np.asarray(wxyz, dtype=float))
+        self.positions_m, self.wxyz = positions, quaternions
+        if len(positions) == 1:
+            self.length_m = 0.0
+            return
+        rotations = Rotation.from_quat(quaternions, scalar_first=True)
+        chords = _chords(positions, rotations)
+        knots = np.concatenate([[0.0], np.cumsum(chords)])
+        # Two waypoints make a straight line; from three on the curve is a spline with natural ends.
+        position = CubicSpline(knots, positions, bc_type="natural")
+        orientation = RotationSpline(knots, rotations)
+        grid = np.linspace(0.0, knots[-1], max(3, int(np.ceil(knots[-1] / _STEP_M)) + 1))
+        fine = np.linspace(0.0, knots[-1], 8 * len(grid))
+        rate = np.hypot(
+            np.linalg.norm(position(fine, 1), axis=1),
+            TURN_LENGTH_M_PER_RAD * np.linalg.norm(orientation(fine, 1), axis=1),
+        )
+        length = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (rate[1:] + rate[:-1]) / 2)])
+        self.length_m = float(length[-1])
+        at = np.linspace(0.0, self.length_m, len(grid))
+        where = np.interp(at, length, fine)
+        quats = _continuous(orientation(where).as_quat(scalar_first=True))
+        self._curve = CubicSpline(at, np.hstack([position(where), quats]), bc_type="not-a-knot" if len(at) > 3 else "natural")
+        self._slope = self._curve.derivative()
+
+    def pose(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position and unit quaternion at a length along the curve, clamped to its ends."""
+        if self.length_m == 0.0:
+            return self.positions_m[0], self.wxyz[0]
+        value = self._curve(min(max(s_m, 0.0), self.length_m))
+        return value[:3], value[3:] / np.linalg.norm(value[3:])
+
+    def slope(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Derivative of position (m/m) and orientation (rad/m, world frame) along the curve."""
+        if self.length_m == 0.0:
+            return np.zeros(3), np.zeros(3)
+        s = min(max(s_m, 0.0), self.length_m)
+        rate = self._slope(s)
+        w, x, y, z = self.pose(s)[1]
+        dw, dx, dy, dz = rate[3:]
+        # ω = 2 q̇ q*, vector part.
+        angular = 2.0 * np.array(
+            [-dw * x + dx * w - dy * z + dz * y, -dw * y + dx * z + dy * w - dz * x, -dw * z - dx * y + dy * x + dz * w]
+        )
+        return rate[:3], angular
+
+
+class TimedPath:
+    """Runs along a geometry from one length to another, from rest to rest.
+
+    The speed rises and falls along a smooth step (3x² - 2x³), whose steepest slope is the
+    acceleration; a path too short for the cruise speed gets a lower one.
+
+    Args:
+        geometry: The curve.
+        speed_m_s: Cruise speed along it.
+        acceleration_m_s2: Largest acceleration along it.
+        start_m, end_m: Lengths where the run starts and ends; end before start runs backwards.
+    """
+
+    def __init__(
+        self,
+        geometry: PathGeometry,
+        *,
+        speed_m_s: float,
+        acceleration_m_s2: float,
+        start_m: float = 0.0,
+        end_m: float | None = None,
+    ):
+        self.geometry = geometry
+        self.start_m = start_m
+        self.end_m = geometry.length_m if end_m is None else end_m
+        distance = abs(self.end_m - self.start_m)
+        self._sign = 1.0 if self.end_m >= self.start_m else -1.0
+        # The two ramps together cover v * ramp, and ramp = 1.5 v / a.
+        self.speed_m_s = min(speed_m_s, np.sqrt(distance * acceleration_m_s2 / 1.5))
+        self._ramp_s = 1.5 * self.speed_m_s / acceleration_m_s2
+        self._cruise_s = distance / self.speed_m_s - self._ramp_s if self.speed_m_s > 0 else 0.0
+        self._distance_m = distance
+        self.duration_s = 2 * self._ramp_s + self._cruise_s
+
+    def target(self, clock_s: float) -> Target:
+        """Pose and twist at a time of the path's own clock, at rest outside its span."""
+        travelled, speed = self._travel(clock_s)
+        s = self.start_m + self._sign * travelled
+        position, wxyz = self.geometry.pose(s)
+        if speed == 0.0:
+            return standing(position, wxyz)
+        linear, angular = self.geometry.slope(s)
+        return Target(position, wxyz, self._sign * speed * linear, self._sign * speed * angular)
+
+    def length_at(self, clock_s: float) -> float:
+        """Length along the geometry at a time of the clock."""
+        return self.start_m + self._sign * self._travel(clock_s)[0]
+
+    def _travel(self, clock_s: float) -> tuple[float, float]:
+        """Distance travelled and speed."""
+        if self._distance_m == 0.0 or clock_s <= 0.0:
+            return 0.0, 0.0
+        if clock_s >= self.duration_s:
+            return self._distance_m, 0.0
+        v, ramp = self.speed_m_s, self._ramp_s
+        if clock_s > ramp + self._cruise_s:
+            left, speed = _ramp_up(self.duration_s - clock_s, v, ramp)
+            return self._distance_m - left, speed
+        if clock_s > ramp:
+            return v * (clock_s - ramp / 2), v
+        return _ramp_up(clock_s, v, ramp)
+
+
+def _ramp_up(time_s: float, speed_m_s: float, ramp_s: float) -> tuple[float, float]:
+    """Distance and speed on the smooth step from rest."""
+    x = time_s / ramp_s
+    return speed_m_s * ramp_s * x**3 * (1 - x / 2), speed_m_s * x * x * (3 - 2 * x)
+
+
+def _chords(positions: NDArray[np.float64], rotations: Rotation) -> NDArray[np.float64]:
+    turns = (rotations[:-1].inv() * rotations[1:]).magnitude()
+    return np.hypot(np.linalg.norm(np.diff(positions, axis=0), axis=1), TURN_LENGTH_M_PER_RAD * turns)
+
+
+def _without_repeats(positions: NDArray[np.float64], wxyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A waypoint equal to the one before adds nothing and would make the spline's knots coincide."""
+    keep = [0]
+    for k in range(1, len(positions)):
+        last = keep[-1]
+        turn = (Rotation.from_quat(wxyz[last], scalar_first=True).inv() * Rotation.from_quat(wxyz[k], scalar_first=True)).magnitude()
+        if np.hypot(np.linalg.norm(positions[k] - positions[last]), TURN_LENGTH_M_PER_RAD * turn) > 1e-6:
+            keep.append(k)
+    return positions[keep], wxyz[keep]
+
+
+def _continuous(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """q and -q are the same rotation: choose signs so that neighbours are near each other."""
+    flips = np.cumprod(np.where(np.einsum("ij,ij->i", wxyz[1:], wxyz[:-1]) < 0, -1.0, 1.0))
+    return np.vstack([wxyz[:1], wxyz[1:] * flips[:, None]])

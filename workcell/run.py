@@ -1,0 +1,188 @@
+"""One scenario -> one trace: the spine of the package, to be read first.
+
+    prepare   scenario -> cell (compiled scene, watched pairs, arms), refused if it cannot be run
+    simulate  cell -> trace, tick by tick, with the controller installed as MuJoCo's control callback
+    conclude  trace -> summary (metrics, expectations with verdicts) and recording
+
+Nothing in the loop reads a clock: time is tick × period, so the same scenario, seed and versions
+give the same trace.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from workcell.control import feasible
+from workcell.control.controller import Controller
+from workcell.errors import ControlFault
+from workcell.scenario import Scenario
+from workcell.scene import cell as scene
+from workcell.scene.cell import Cell
+from workcell.signals import Layout
+from workcell.trace import metrics
+from workcell.trace.table import Trace, TraceWriter, load
+
+SCENARIO_FILE = "scenario.toml"
+SUMMARY_FILE = "summary.json"
+RECORDING_FILE = "recording.rrd"
+SCENE_FOLDER = "scene"
+
+PACKAGES = ("workcell", "mujoco", "dm-control", "mink", "daqp", "rerun-sdk", "numpy", "scipy", "pyarrow")
+"""Packages whose versions decide what a trace holds."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a simulation ended."""
+
+    ticks: int
+    """Ticks done."""
+    fault: str | None
+    """What stopped it before its time, None if it ran to its end."""
+    interrupted: bool = False
+    """Whether a person stopped it."""
+
+
+def run(scenario: Scenario, out: Path, *, progress: Callable[[int, int], None] | None = None) -> dict:
+    """Run a scenario into a run folder.
+
+    Args:
+        scenario: What to run.
+        out: Run folder; made if missing, its earlier contents replaced file by file.
+        progress: Called with (ticks done, ticks of a full run) now and then.
+
+    Returns:
+        The summary, as written to summary.json.
+
+    Raises:
+        InputError: the scenario cannot be run as it is.
+    """
+    cell = prepare(scenario, out / SCENE_FOLDER)
+    (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
+    ending = simulate(cell, out, progress=progress)
+    return conclude(cell, out, ending)
+
+
+def prepare(scenario: Scenario, folder: Path) -> Cell:
+    """Compose the scene into `folder`, compile it and refuse what cannot be run."""
+    cell = scene.build(scenario, folder)
+    scene.check_start(cell)
+    feasible.check(cell)
+    return cell
+
+
+def simulate(cell: Cell, out: Path, *, progress: Callable[[int, int], None] | None = None) -> Ending:
+    """Step the plant with the controller in its callback; every tick becomes a row of the trace."""
+    scenario = cell.scenario
+    controller = Controller(cell)
+    data = mujoco.MjData(cell.model)
+    cell.place_home(data)
+    step = _step_kinematic if scenario.simulation.plant == "kinematic" else _step_dynamic
+    fault, interrupted = None, False
+    with TraceWriter(out, layout(cell), metadata(cell), scenario.simulation.period_s) as trace, installed(controller, cell.model, data):
+        try:
+            for tick in range(scenario.ticks):
+                step(cell, controller, data)
+                trace.append(controller.record)
+                if progress and tick % 250 == 0:
+                    progress(tick, scenario.ticks)
+        except ControlFault as error:
+            fault = str(error)
+        except KeyboardInterrupt:
+            interrupted = True
+    if progress:
+        progress(scenario.ticks, scenario.ticks)
+    return Ending(ticks=controller.tick, fault=fault, interrupted=interrupted)
+
+
+def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
+    """Judge the trace, write the summary and derive the recording."""
+    from workcell.trace import view  # rerun takes half a second to import, which `check` need not wait for
+
+    trace = load(out)
+    summary = summarise(cell, trace, ending)
+    (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    view.record(trace, out / SCENE_FOLDER / "scene.xml", out / RECORDING_FILE)
+    return summary
+
+
+def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
+    """Metrics of a run, the verdict on each expectation, and where it all came from."""
+    values = {"ticks": ending.ticks, "fault": ending.fault, "interrupted": ending.interrupted} | metrics.summarise(trace)
+    verdicts = metrics.judge(values, cell.scenario.expect)
+    held = ending.fault is None and not ending.interrupted and all(v["held"] for v in verdicts.values())
+    return {
+        "scenario": cell.scenario.name,
+        "scenario_sha256": cell.scenario.digest(),
+        "held": held,
+        "expectations": verdicts,
+        "metrics": values,
+        "watched_pairs": len(cell.pairs),
+        "omitted_pairs": [list(pair) for pair in cell.pairs.omitted],
+        "versions": versions(),
+    }
+
+
+def layout(cell: Cell) -> Layout:
+    """What fixes the width of the trace's columns."""
+    return Layout(
+        arms=tuple(arm.name for arm in cell.arms),
+        joints=tuple(cell.model.joint(j).name for j in range(cell.model.njnt)),
+        nq=cell.model.nq,
+        nv=cell.model.nv,
+        pairs=cell.pairs.names,
+    )
+
+
+def metadata(cell: Cell) -> dict[str, str]:
+    """Where a trace comes from: stored with it, apart from the data."""
+    return {
+        "scenario": cell.scenario.digest(),
+        "settings": cell.scenario.model_dump_json(),
+        "versions": json.dumps(versions()),
+        "platform": f"{platform.system()} {platform.machine()} Python {platform.python_version()}",
+        "model_sha256": cell.digest,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that decides what a trace holds."""
+    return {name: version(name) for name in PACKAGES}
+
+
+@contextmanager
+def installed(controller: Controller, model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[None]:
+    """Install the controller as MuJoCo's control callback for one plant, and remove it whatever happens."""
+
+    def callback(called_model: mujoco.MjModel, called_data: mujoco.MjData) -> None:
+        # The callback is global to the process: other simulations in it must not be steered.
+        if called_data is data:
+            controller.control(model, data)
+
+    mujoco.set_mjcb_control(callback)
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_control(None)
+
+
+def _step_dynamic(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
+    """One control period of MuJoCo's dynamics; the callback fires inside."""
+    mujoco.mj_step(cell.model, data)
+
+
+def _step_kinematic(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
+    """One control period in which every joint does exactly what it was commanded."""
+    mujoco.mj_forward(cell.model, data)
+    data.qvel[:] = controller.record.command_rad_s
+    mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), cell.period_s)
+    data.time += cell.period_s

@@ -1,0 +1,404 @@
+"""Scenario file -> frozen, validated `Scenario`.
+
+A scenario is one TOML file: the cell (arms, obstacles), who drives each arm, the controller's
+parameters, and the bounds that make the run a test (`[expect]`). Everything that can be judged
+without MuJoCo is judged here, all faults at once; what needs the geometry is judged when the cell
+is built. Units are in the key names; unknown keys, NaN and infinity are refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from workcell import assets
+from workcell.errors import InputError
+
+UNIT_QUATERNION_TOLERANCE = 1e-3
+"""How far the norm of a quaternion in a file may be off 1 (rounded to three digits); it is then normalised."""
+
+
+def _unit(wxyz: tuple[float, ...]) -> tuple[float, ...]:
+    norm = math.sqrt(sum(x * x for x in wxyz))
+    if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
+        raise ValueError(f"a unit quaternion is needed (w, x, y, z; norm 1 within {UNIT_QUATERNION_TOLERANCE}), its norm is {norm:.6g}")
+    return tuple(x / norm for x in wxyz)
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+Entry = Literal["left", "right", "above"]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+
+
+class Simulation(_Table):
+    """How the plant is stepped."""
+
+    plant: Literal["dynamic", "kinematic"] = "dynamic"
+    period_s: Annotated[float, Field(gt=0, le=0.02, allow_inf_nan=False)] = 0.002
+    duration_s: Positive = 30.0
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+
+class Control(_Table):
+    """Parameters of the controller; docs/scenario.md gives the reason for each default."""
+
+    t_min_s: Positive = 1.0
+    d_min_m: Positive = 0.01
+    standoff_m: NonNegative = 0.0
+    criterion: Literal["artc", "artc_approaching", "armd", "none"] = "artc"
+    order: Literal[1, 2] = 1
+    variant: Literal["relative", "static"] = "relative"
+    criterion_gain: NonNegative = 8.0
+    task_gain_per_s: Positive = 10.0
+    rise_time_s: Positive = 0.25
+    reaction_s: NonNegative = 0.004
+
+
+class Hold(_Table):
+    """The arm keeps the tool pose it starts with."""
+
+    kind: Literal["hold"]
+
+
+class Waypoint(_Table):
+    """A tool pose in the world; without `wxyz` the orientation of the waypoint before is kept."""
+
+    position_m: Vector3
+    wxyz: Quaternion | None = None
+
+
+class Waypoints(_Table):
+    """The tool follows a smooth path through waypoints, starting where it is."""
+
+    kind: Literal["waypoints"]
+    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    speed_m_s: Positive = 0.15
+    acceleration_m_s2: Positive = 0.5
+    start_s: NonNegative = 0.0
+
+
+Operator = Annotated[Hold | Waypoints, Field(discriminator="kind")]
+
+
+class Move(_Table):
+    """Move the tool along waypoints; `acceleration_m_s2` bounds the start and the end of the move."""
+
+    kind: Literal["move"]
+    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    speed_m_s: Positive = 0.15
+    acceleration_m_s2: Positive = 0.5
+
+
+class Meet(_Table):
+    """Approach another arm's tool until the two tools are d_min apart, then dwell."""
+
+    kind: Literal["meet"]
+    arm: Name
+    speed_m_s: Positive = 0.15
+    acceleration_m_s2: Positive = 0.5
+    dwell_s: NonNegative = 0.5
+
+
+class Wait(_Table):
+    """Stand still."""
+
+    kind: Literal["wait"]
+    duration_s: Positive
+
+
+class Retreat(_Table):
+    """Go back along the path travelled since the start of the sequence."""
+
+    kind: Literal["retreat"]
+    speed_m_s: Positive = 0.15
+    acceleration_m_s2: Positive = 0.5
+
+
+Job = Annotated[Move | Meet | Wait | Retreat, Field(discriminator="kind")]
+
+
+class Arm(_Table):
+    """One arm of the cell."""
+
+    name: Name
+    model: str
+    base_position_m: Vector3 = (0.0, 0.0, 0.0)
+    base_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    home_rad: Annotated[tuple[Finite, ...], Field(min_length=1)]
+    tool_site: str = "tool"
+    elbow_site: str | None = None
+    priority: Annotated[int, Field(ge=0)] = 0
+    velocity_limit_rad_s: tuple[Positive, ...] | None = None
+    acceleration_limit_rad_s2: tuple[Positive, ...] | None = None
+    operator: Operator | None = None
+    job: tuple[Job, ...] = ()
+
+    @model_validator(mode="after")
+    def _driven_by_one(self) -> Arm:
+        if (self.operator is None) == (not self.job):
+            raise ValueError("an arm is driven by either an operator or a sequence of jobs, exactly one of the two")
+        for key in ("velocity_limit_rad_s", "acceleration_limit_rad_s2"):
+            limits = getattr(self, key)
+            if limits is not None and len(limits) != len(self.home_rad):
+                raise ValueError(f"{key} has {len(limits)} entries, home_rad has {len(self.home_rad)}: one a joint is needed")
+        return self
+
+
+class Obstacle(_Table):
+    """A static primitive. `size_m` is MuJoCo's: box half extents; sphere radius; capsule and cylinder radius, half length."""
+
+    name: Name
+    shape: Literal["box", "sphere", "capsule", "cylinder"]
+    size_m: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
+    position_m: Vector3
+    wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    rgba: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.75, 0.77, 0.8, 1.0)
+
+    @model_validator(mode="after")
+    def _size_fits_shape(self) -> Obstacle:
+        wanted = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}[self.shape]
+        if len(self.size_m) != wanted:
+            raise ValueError(f"size_m has {len(self.size_m)} entries, a {self.shape} has {wanted}")
+        return self
+
+
+class Bound(_Table):
+    """What a metric of the summary must be: an exact value, or a range."""
+
+    min: Finite | None = None
+    max: Finite | None = None
+    equals: bool | int | str | None = None
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Bound:
+        if self.min is None and self.max is None and self.equals is None:
+            raise ValueError("a bound needs min, max or equals")
+        return self
+
+
+def _as_bound(value: Any) -> Any:
+    return {"equals": value} if isinstance(value, (bool, int, str)) else value
+
+
+def _unique(items: tuple[Any, ...], what: str) -> None:
+    names = [item.name for item in items]
+    doubled = sorted({name for name in names if names.count(name) > 1})
+    if doubled:
+        raise ValueError(f"{what} names must be unique, {', '.join(doubled)} occurs more than once")
+
+
+class Scenario(_Table):
+    """A whole scenario file, resolved: every default is filled in."""
+
+    name: Name
+    description: str = ""
+    simulation: Simulation = Simulation()
+    control: Control = Control()
+    arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
+    obstacle: tuple[Obstacle, ...] = ()
+    expect: dict[str, Annotated[Bound, BeforeValidator(_as_bound)]] = {}
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Scenario:
+        _unique(self.arm, "arm")
+        _unique(self.obstacle, "obstacle")
+        names = [arm.name for arm in self.arm]
+        for obstacle in self.obstacle:
+            if obstacle.name in names:
+                raise ValueError(f"obstacle {obstacle.name} has the name of an arm")
+        for arm in self.arm:
+            for job in arm.job:
+                if isinstance(job, Meet) and (job.arm not in names or job.arm == arm.name):
+                    others = ", ".join(n for n in names if n != arm.name) or "there is none"
+                    raise ValueError(f"arm {arm.name}: job meet: arm {job.arm!r} is not another arm of this scenario ({others})")
+        return self
+
+    @property
+    def ticks(self) -> int:
+        """Number of control ticks of a full run."""
+        return round(self.simulation.duration_s / self.simulation.period_s)
+
+    def to_toml(self) -> str:
+        """The resolved scenario as TOML; reading it back gives an equal scenario."""
+        return tomli_w.dumps(_without_none(self.model_dump(mode="json")))
+
+    def digest(self) -> str:
+        """SHA-256 over the resolved content, independent of layout and comments of the file."""
+        content = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(content.encode()).hexdigest()
+
+
+def find(scenario: str) -> Path:
+    """The file of a scenario given by shipped name or by path.
+
+    Raises:
+        InputError: neither a shipped name nor an existing file.
+    """
+    if assets.scenario_file(scenario).is_file():
+        return assets.scenario_file(scenario)
+    path = Path(scenario)
+    if path.is_file():
+        return path
+    raise InputError(f"no such scenario: {scenario!r}; allowed: a path to a .toml file, or one of {', '.join(assets.scenario_names())}")
+
+
+def load(scenario: str | Path, overrides: tuple[str, ...] = ()) -> Scenario:
+    """Read, override and validate a scenario.
+
+    Args:
+        scenario: Shipped name or path of a .toml file.
+        overrides: `KEY=VALUE` with dotted keys of the file; an arm or obstacle is addressed by its
+            name (`arm.nurse.priority=2`), VALUE is TOML or, failing that, a plain string.
+
+    Raises:
+        InputError: with every fault found, each naming key, value and what is allowed.
+    """
+    path = find(str(scenario))
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"not valid TOML: {error}", file=path) from error
+    content.setdefault("name", path.stem)
+    for override in overrides:
+        _apply(content, override, path)
+    _resolve_models(content, path.parent)
+    try:
+        return Scenario.model_validate(content)
+    except ValidationError as error:
+        raise InputError([_fault(item, content) for item in _roots(error.errors())], file=path) from error
+
+
+def _apply(content: dict[str, Any], override: str, path: Path) -> None:
+    """Set one dotted key in the parsed file."""
+    key, separator, text = override.partition("=")
+    if not separator or not key:
+        raise InputError(f"--set {override!r}: allowed is KEY=VALUE with a dotted key of the scenario file", file=path)
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    node: Any = content
+    *parents, last = key.split(".")
+    for part in parents:
+        node = _descend(node, part, key, path)
+    if isinstance(node, list):
+        raise InputError(f"--set {key}: {last!r} would replace one of several entries; name a key inside it", file=path)
+    node[last] = value
+
+
+def _descend(node: Any, part: str, key: str, path: Path) -> Any:
+    if isinstance(node, dict):
+        node = node.setdefault(part, {})
+        if isinstance(node, (dict, list)):
+            return node
+        raise InputError(f"--set {key}: {part!r} is a value, not a table", file=path)
+    names = [str(item.get("name", index)) for index, item in enumerate(node)]
+    if part in names:
+        return node[names.index(part)]
+    if part.isdecimal() and int(part) < len(node):
+        return node[int(part)]
+    raise InputError(f"--set {key}: no entry {part!r}; allowed: {', '.join(names)}", file=path)
+
+
+def _resolve_models(content: dict[str, Any], folder: Path) -> None:
+    """Make relative paths of arm files absolute; shipped names stay names."""
+    arms = content.get("arm")
+    for arm in arms if isinstance(arms, list) else []:
+        model = arm.get("model") if isinstance(arm, dict) else None
+        if isinstance(model, str) and model not in assets.model_names():
+            arm["model"] = str((folder / model).resolve())
+
+
+def _roots(items: list[Any]) -> list[Any]:
+    """Leave out 'too few entries' where entries are missing only because they are at fault themselves."""
+    locations = [item["loc"] for item in items]
+    return [
+        item
+        for item in items
+        if item["type"] != "too_short"
+        or not any(len(loc) > len(item["loc"]) and loc[: len(item["loc"])] == item["loc"] for loc in locations)
+    ]
+
+
+def _fault(item: Any, content: dict[str, Any]) -> str:
+    """One validation error in the words of the file: dotted key, value, what is allowed."""
+    key: list[str] = []
+    node: Any = content
+    for part in item["loc"]:
+        if isinstance(node, dict) and part in node:
+            node = node[part]
+            key.append(str(part))
+        elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
+            node = node[part]
+            key.append(str(node.get("name", part)) if isinstance(node, dict) else str(part))
+        elif item["type"] == "missing":
+            key.append(str(part))
+    name = ".".join(key) or "scenario"
+    message = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "missing":
+        return f"{name}: this key is missing and has no default"
+    if item["type"] == "extra_forbidden":
+        return f"{name} = {node!r}: unknown key; allowed here: {', '.join(_allowed(item['loc']))}"
+    if isinstance(node, dict):
+        return f"{name}: {message}"
+    return f"{name} = {node!r}: {message}"
+
+
+def _allowed(location: tuple[Any, ...]) -> list[str]:
+    """The keys allowed in the table that holds the unknown key at `location`."""
+    node: Any = Scenario
+    for part in location[:-1]:
+        if isinstance(part, int):
+            continue
+        node = _TAGGED.get(part) or _table_of(node, part)
+    return sorted(node.model_fields)
+
+
+def _table_of(table: Any, key: str) -> Any:
+    """The model class behind a key, seen through tuples, unions and annotations."""
+    return _first_table(table.model_fields[key].annotation) or table
+
+
+def _first_table(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _first_table(inner)
+        if found:
+            return found
+    return None
+
+
+_TAGGED = {"hold": Hold, "waypoints": Waypoints, "move": Move, "meet": Meet, "wait": Wait, "retreat": Retreat}
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null: a key that is None is left out."""
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    if isinstance(value, (list, tuple)):
+        return [_without_none(v) for v in value]
+    return value

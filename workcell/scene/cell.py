@@ -1,0 +1,87 @@
+"""The cell: a scenario made concrete, compiled and checked, before time starts."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from workcell.errors import InputError
+from workcell.scenario import Scenario
+from workcell.scene import compose
+from workcell.scene.handles import ArmHandles, arm_handles
+from workcell.scene.pairs import WatchedPairs, watched_pairs
+
+SENSOR_CUTOFF_M = 100.0
+"""Beyond the size of any cell: a smaller one would cut distances off in silence."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A compiled scene with its addresses; the model is not changed after this."""
+
+    scenario: Scenario
+    model: mujoco.MjModel
+    arms: tuple[ArmHandles, ...]
+    """In the order of the scenario file."""
+    pairs: WatchedPairs
+    sensor_adr: np.ndarray
+    """(P,) address of each pair's `fromto` sensor in sensordata."""
+    digest: str
+    """SHA-256 of scene.xml."""
+
+    @property
+    def period_s(self) -> float:
+        """Length of a control tick."""
+        return self.scenario.simulation.period_s
+
+    def place_home(self, data: mujoco.MjData) -> None:
+        """Put every arm into its home configuration, at rest."""
+        mujoco.mj_resetData(self.model, data)
+        for arm in self.arms:
+            data.qpos[arm.qpos] = arm.home_rad
+
+
+def build(scenario: Scenario, folder: Path) -> Cell:
+    """Compose, decide the watched pairs, write scene.xml with their sensors and compile it.
+
+    Raises:
+        InputError: an arm cannot be composed or driven.
+    """
+    root = compose.compose(scenario)
+    bare = compose.export(root, folder)
+    pairs = watched_pairs(bare, arm_handles(bare, scenario))
+    compose.add_sensors(root, pairs.names, SENSOR_CUTOFF_M)
+    model = compose.export(root, folder)
+    return Cell(
+        scenario=scenario,
+        model=model,
+        arms=arm_handles(model, scenario),
+        pairs=pairs,
+        sensor_adr=np.array([model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp),
+        digest=hashlib.sha256((folder / compose.SCENE_FILE).read_bytes()).hexdigest(),
+    )
+
+
+def check_start(cell: Cell) -> None:
+    """Refuse a start in which a watched pair is nearer than d_min.
+
+    Raises:
+        InputError: naming every such pair with its distance.
+    """
+    data = mujoco.MjData(cell.model)
+    cell.place_home(data)
+    mujoco.mj_kinematics(cell.model, data)
+    d_min = cell.scenario.control.d_min_m
+    faults = []
+    for (g, h), names in zip(cell.pairs.geoms, cell.pairs.names, strict=True):
+        distance = mujoco.mj_geomDistance(cell.model, data, g, h, SENSOR_CUTOFF_M, None)
+        if distance <= d_min:
+            faults.append(
+                f"arm.home_rad: start in collision: {names[0]} and {names[1]} are {distance:.4f} m apart; allowed is more than d_min_m = {d_min:g}"
+            )
+    if faults:
+        raise InputError(faults, file=cell.scenario.name)
