@@ -57,7 +57,9 @@ def covered_points(body: str) -> np.ndarray:
     points = [extreme_points(piece) for piece in HOUSING[body]]
     if body == "link6":
         flange_mm = 1e3 * next(link.offset_z_m for link in LINKS if link.name == "link7")
-        points += [extreme_points(piece) + (0, 0, flange_mm) for piece in HOUSING["link7"]]
+        points += [
+            extreme_points(piece) + np.array([0, 0, flange_mm]) for piece in HOUSING["link7"]
+        ]
     return np.concatenate(points)
 
 

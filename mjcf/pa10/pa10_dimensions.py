@@ -239,6 +239,7 @@ HOUSING: dict[str, tuple[Piece, ...]] = {
         Cylinder("tail", "z", (-145, -72), 31.3),
         Cylinder("body", "z", (-72, 48), 27.5),
         Cylinder("barrel", "y", (-24, 24), 40),
+        Cylinder("barrel_step", "y", (-28, 30), 36),
         Cylinder("barrel_ends", "y", (-31, 37), 31, finish="housing_cover"),
         Cylinder("head", "z", (48, 73), 36.5, finish="housing_cover"),
         Box("ridge", (0, 36), (-19.5, 19.5), (-137, 48)),
