@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import coal
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from workcell.guard.nearest import NearestSearch
 from workcell.guard.pairs import PairTable, choose_pairs
 
 from .cell import ARMS, CLEAR_POSE, CRASH_POSE, random_pose, scene_text
+from .coal_shapes import shape_of, smallest_distance_m
 
 CEILING_M = 0.5
 # Both sides stop iterating on curved shapes at 1e-6 m or below; twice that is allowed.
@@ -99,32 +99,14 @@ def test_beyond_the_ceiling_there_is_no_pair(cell):
     assert search.nearest(table.watched).pair is None
 
 
-def coal_shape(model: mujoco.MjModel, geom: int):
-    size = model.geom_size[geom]
-    match mujoco.mjtGeom(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return coal.Box(*(2.0 * size))
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return coal.Cylinder(size[0], 2.0 * size[1])
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return coal.Capsule(size[0], 2.0 * size[1])
-        case mujoco.mjtGeom.mjGEOM_MESH:
-            mesh = model.geom_dataid[geom]
-            first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-            points = coal.StdVec_Vec3s()
-            for vertex in model.mesh_vert[first : first + count].astype(float):
-                points.append(vertex)
-            return coal.Convex.convexHull(points, False, None)
-    raise AssertionError(f"no shape for geom {geom}")
-
-
 def test_coal_agrees_on_random_configurations(cell):
     model, geometry, table, search = cell
     planes = [k for k, p in enumerate(geometry.pieces) if p.name == "floor"]
     mask = table.watched.copy()
     mask[planes, :] = mask[:, planes] = False
-    shapes = {p.geom: coal_shape(model, p.geom) for p in geometry.pieces if p.name != "floor"}
-    pairs = np.argwhere(np.triu(mask)).tolist()
+    shapes = {p.geom: shape_of(model, p.geom) for p in geometry.pieces if p.name != "floor"}
+    geoms = [piece.geom for piece in geometry.pieces]
+    pairs = [(geoms[i], geoms[j]) for i, j in np.argwhere(np.triu(mask)).tolist()]
     rng = np.random.default_rng(11)
     data = mujoco.MjData(model)
     seen_kinds, seen_contact = set(), 0
@@ -134,20 +116,7 @@ def test_coal_agrees_on_random_configurations(cell):
         found = search.nearest(mask, 7)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        frames = {
-            geom: coal.Transform3s(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
-            for geom in shapes
-        }
-        distances = []
-        for i, j in pairs:
-            a, b = geometry.pieces[i].geom, geometry.pieces[j].geom
-            result = coal.DistanceResult()
-            distances.append(
-                coal.distance(
-                    shapes[a], frames[a], shapes[b], frames[b], coal.DistanceRequest(), result
-                )
-            )
-        expected_m = min(distances)
+        expected_m = smallest_distance_m(data, shapes, pairs)
         if expected_m < 0.0:
             # How deep a contact is, is a matter of definition; that it is one, is not.
             assert found.distance_m < AGREEMENT_M

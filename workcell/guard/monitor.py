@@ -238,7 +238,7 @@ class FinalCheck:
             started = time.perf_counter()
             if not alive:
                 return self._fault(CheckState.LOST, process.obituary())
-            if woken or self._is_waiting:
+            if woken:
                 try:
                     answer = link.newest_answer()
                 except TornRead as error:
