@@ -33,7 +33,8 @@ def test_each_signal_is_fully_described(signal):
     assert signal.stage in STAGES
     assert signal.meaning
     if signal.dtype == "float64":
-        assert signal.atol > 0 and signal.rtol >= 0
+        assert signal.atol > 0
+        assert signal.rtol >= 0
         if signal.name not in WITHOUT_SUFFIX:
             assert signal.name.endswith(SUFFIXES.get(signal.unit, ""))
     else:

@@ -88,7 +88,7 @@ def run(tmp_path_factory) -> Run:
     metadata = {
         "scenario": "0" * 64,
         "settings": json.dumps({"control": control, "arm": arm_settings}),
-        "meeting_pairs": json.dumps([["surgeon/link3_capsule", "nurse/link3_capsule"]]),
+        "meeting_pairs": json.dumps([["nurse/link3_capsule", "surgeon/link2_capsule"]]),
         "name": "synthetic",
     }
     fromto = np.zeros(6)

@@ -128,10 +128,9 @@ def test_a_missing_column_is_named(tmp_path):
         del record.arms["nurse"].scale
         with pytest.raises(TraceError, match="scale"):
             writer.append(record)
-    del row["qvel"]
-    with TraceWriter(tmp_path, LAYOUT, {}, PERIOD_S) as writer:
+        del row["qvel"]
         with pytest.raises(TraceError, match="qvel"):
-            writer.append(row)
+            TraceWriter(tmp_path / "mapping", LAYOUT, {}, PERIOD_S).append(row)
 
 
 @settings(max_examples=25, deadline=None)
@@ -241,6 +240,16 @@ def flip(content, position, bit):
     return bytes(damaged)
 
 
+def load_unless_refused(path):
+    """The trace, or None if it was refused by name; any other failure is one of the test."""
+    try:
+        return load(path)
+    except TraceError as error:
+        if str(path) not in str(error):
+            raise
+        return None
+
+
 @settings(max_examples=300, deadline=None)
 @given(fraction=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 @pytest.mark.filterwarnings("ignore:.*unfinished last batch")
@@ -249,10 +258,8 @@ def test_a_flipped_bit_in_the_journal_is_never_believed(tmp_path_factory, journa
     position = int(fraction * len(content))
     path = tmp_path_factory.mktemp("flip") / JOURNAL_NAME
     path.write_bytes(flip(content, position, bit))
-    try:
-        trace = load(path)
-    except TraceError as error:
-        assert str(path) in str(error)
+    trace = load_unless_refused(path)
+    if trace is None:
         return
     # Padding carries nothing. A damaged length in the last batch looks like a torn one.
     assert trace.metadata == whole.metadata
@@ -270,10 +277,8 @@ def test_a_flipped_bit_in_the_table_is_never_believed(tmp_path_factory, journal,
     content = whole.source.read_bytes()
     path = tmp_path_factory.mktemp("flip") / TRACE_NAME
     path.write_bytes(flip(content, int(fraction * len(content)), bit))
-    try:
-        trace = load(path)
-    except TraceError as error:
-        assert str(path) in str(error)
+    trace = load_unless_refused(path)
+    if trace is None:
         return
     assert (trace.digest(), trace.metadata) == (whole.digest(), whole.metadata)
 
@@ -297,7 +302,7 @@ def test_a_truncated_table_is_refused(tmp_path, kept):
     path = tmp_path / TRACE_NAME
     content = path.read_bytes()
     path.write_bytes(content[: kept if isinstance(kept, int) else int(kept * len(content))])
-    with pytest.raises(TraceError, match="trace.parquet: is damaged"):
+    with pytest.raises(TraceError, match=r"trace\.parquet: is damaged"):
         load(tmp_path)
 
 
@@ -310,7 +315,7 @@ def test_a_newer_schema_is_refused(tmp_path, monkeypatch):
 
 
 def test_what_is_no_trace_is_refused(tmp_path):
-    with pytest.raises(TraceError, match="neither trace.parquet nor trace.arrows"):
+    with pytest.raises(TraceError, match=r"neither trace\.parquet nor"):
         load(tmp_path)
     with pytest.raises(TraceError, match="no such file"):
         load(tmp_path / "gone.parquet")

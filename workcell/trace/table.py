@@ -102,7 +102,7 @@ class TraceWriter:
         Path(folder).mkdir(parents=True, exist_ok=True)
         self.path.unlink(missing_ok=True)
         try:
-            self._sink = open(self.journal, "wb", buffering=_SINK_BYTES)
+            self._sink = self.journal.open("wb", buffering=_SINK_BYTES)
             self._stream = pa.ipc.new_stream(self._sink, self._schema)
         except OSError as error:
             raise TraceError(f"{self.journal}: cannot be written: {error}") from error

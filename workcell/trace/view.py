@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import subprocess
 import uuid
+import warnings
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -22,6 +23,7 @@ import rerun.blueprint as rrb
 import rerun_cli
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
+from rerun.error_utils import RerunWarning
 
 from workcell.errors import TraceError
 from workcell.trace.metrics import control_setting, period_s, smallest_distance_m
@@ -112,14 +114,17 @@ def is_current(rrd: Path | str, trace: Trace) -> bool:
     """
     if not Path(rrd).is_file():
         return False
+    found = {}
     try:
-        found = {}
-        for chunk in RrdReader(str(rrd)).stream():
-            if chunk.entity_path == "/__properties/workcell":
-                batch = chunk.to_record_batch()
-                for name, values in zip(batch.schema.names, batch.columns, strict=True):
-                    found[name] = values[0].as_py()
-    except (ValueError, RuntimeError, OSError):
+        with warnings.catch_warnings():
+            # A file without its end is reported twice: here, and by the error that follows.
+            warnings.simplefilter("ignore", RerunWarning)
+            store = RrdReader(str(rrd)).store()
+        for chunk in store.stream().filter(content="/__properties/workcell"):
+            batch = chunk.to_record_batch()
+            for name, values in zip(batch.schema.names, batch.columns, strict=True):
+                found[name] = values[0].as_py()
+    except RuntimeError:  # The reader has no narrower one.
         return False
     return all(found.get(key) == [value] for key, value in _origin(trace).items())
 
