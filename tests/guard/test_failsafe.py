@@ -64,8 +64,6 @@ FAULTS = [
     ("old_sequence", State.STALE),
     ("future_sequence", State.NONSENSE),
     ("not_a_number", State.NONSENSE),
-    ("unknown_pair", State.NONSENSE),
-    ("false_clear", State.NONSENSE),
     ("garbage", State.NONSENSE),
     ("kill_self", State.LOST),
     ("stop_self", State.STOPPED),
@@ -88,7 +86,8 @@ def test_in_lock_step_each_fault_has_its_name_within_the_deadline(scene, kind, s
     assert pid is not None and is_gone(pid)
 
 
-@pytest.mark.parametrize("kind, state", FAULTS)
+# An answer is judged alike in both ways of running; what is waited for differs.
+@pytest.mark.parametrize("kind, state", [fault for fault in FAULTS if fault[1] != State.NONSENSE])
 def test_in_free_run_each_fault_stops_within_the_deadline(scene, kind, state):
     fault = TestFault(kind, FROM, seconds=3.0)
     with started(scene, deadline_s=0.2, max_age_ticks=10_000, test_fault=fault) as check:

@@ -67,7 +67,7 @@ def approach(checker: Checker) -> NDArray[np.float64]:
         qpos = leaning_pose(rng)
         if 0.02 < checker.answer(Request(1, 0, (), qpos)).distance_m < 0.08:
             ends.append(qpos)
-    return np.linspace(*ends, 1000)
+    return np.linspace(ends[0], ends[1], 1000)
 
 
 def test_every_moving_body_has_geometry_and_upright_arms_are_clear(checker: Checker):

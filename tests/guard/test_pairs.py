@@ -59,6 +59,14 @@ def test_the_first_link_is_let_off_only_what_its_base_stands_on():
     assert table.watched[index["nurse/link2_hub"], index["table"]]
 
 
+def test_a_loose_object_is_held_against_the_arms_only():
+    loose = "<body name='bowl' pos='0 0 1'><freejoint/><geom name='rim' size='.05'/></body>"
+    table, index, _ = table_of(scene_text().replace("<body name", loose + "<body name", 1))
+    assert table.watched[index["rim"], index["nurse/tool_tip"]]
+    assert table.watched[index["rim"], index["nurse/base_plate"]]
+    assert not table.watched[index["rim"], index["table"]]
+
+
 def test_joints_are_counted_over_the_world():
     _, _, model = table_of(scene_text())
     body = {name: model.body(name).id for name in ("nurse/base", "nurse/tool", "surgeon/link2")}

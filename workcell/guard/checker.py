@@ -185,7 +185,6 @@ class _Faults:
 
     def __init__(self, settings: CheckSettings):
         self._fault = settings.test_fault
-        self._d_min_m = settings.d_min_m
 
     def at_start(self) -> None:
         if self._fault is None:
@@ -209,10 +208,6 @@ class _Faults:
                 link.answer(replace(answer, sequence=answer.sequence + 1))
             case "not_a_number":
                 link.answer(replace(answer, distance_m=math.nan))
-            case "unknown_pair":
-                link.answer(replace(answer, pair=(0, 1_000_000)))
-            case "false_clear":
-                link.answer(replace(answer, halt=False, distance_m=0.5 * self._d_min_m))
             case "garbage":
                 link.scribble()
             case "kill_self":

@@ -21,8 +21,6 @@ FAULT_KINDS = (
     "old_sequence",
     "future_sequence",
     "not_a_number",
-    "unknown_pair",
-    "false_clear",
     "garbage",
     "kill_self",
     "stop_self",
