@@ -39,7 +39,8 @@ def test_two_hundred_unscaled_approaches_end_without_contact(tmp_path: Path):
     while stopped < 200:
         qpos, target = random_pose(rng), random_pose(rng)
         target[5:] = qpos[5:]
-        if ask(0, qpos).must_stop or not ask(0, target).must_stop:
+        # Unchecked, every one of these ends in contact: the target itself is one.
+        if ask(0, qpos).must_stop or (ask(0, target).distance_m or 0.0) >= 0.0:
             continue
         latch = HaltLatch(PERIOD_S)
         command = (target - qpos) / np.max(np.abs(target - qpos)) * SPEED_RAD_S
@@ -61,18 +62,3 @@ def test_two_hundred_unscaled_approaches_end_without_contact(tmp_path: Path):
         assert min(way_m) > 0.0, (report, qpos)
     # The stop is really needed and really uses the room it was given.
     assert min(nearest_m) < 0.8 * D_MIN_M
-
-
-def test_without_the_check_the_same_approaches_do_touch(tmp_path: Path):
-    checker = Checker(write_scene(tmp_path), settings())
-    rng = np.random.default_rng(2008)
-    touched = 0
-    for sequence in range(100):
-        qpos, target = random_pose(rng), random_pose(rng)
-        target[5:] = qpos[5:]
-        if checker.answer(Request(sequence, 0, (), qpos)).halt:
-            continue
-        way = np.linspace(qpos, target, 100)
-        distances = [checker.answer(Request(sequence, 0, (), q)).distance_m for q in way]
-        touched += min(distances) < 0.0
-    assert touched > 10
