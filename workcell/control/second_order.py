@@ -52,7 +52,8 @@ def second_order(
     """Second time derivative of the distances at `data.qvel` and the given accelerations.
 
     Two round geoms: exact, where the axes are neither parallel nor crossing. Of parallel axes the
-    witness point of i is kept from sliding, one of many admissible choices (`parallel`).
+    witness point of i is held, or that of j if it sits on an end: one of many admissible choices
+    (`parallel`).
     Otherwise the geom without a radius (j if neither has one) is replaced by the half space
     behind its witness point, turning with it. That is exact for a sphere or a capsule's end
     against a plane or the face of a box, a lower bound for them against any other convex geom,
@@ -170,10 +171,14 @@ def _sliding(
     drift_i = np.vecdot(np.cross(omega_i, u), between) + np.vecdot(u, relative_velocity)
     drift_j = np.vecdot(np.cross(omega_j, v), between) + np.vecdot(v, relative_velocity)
     determinant = uu * vv - uv**2
-    both = free_i & free_j
-    parallel = both & (determinant <= PARALLEL_SIN_SQUARED * uu * vv)
-    solve = both & ~parallel
-    only_i, only_j = free_i & ~free_j, (free_j & ~free_i) | parallel
+    # Parallel axes that overlap have many nearest points, wherever MuJoCo put the witness points;
+    # those beside each other's ends are at an angle to the line between, and have one.
+    parallel = (uu > 0.0) & (vv > 0.0) & (determinant <= PARALLEL_SIN_SQUARED * uu * vv)
+    parallel &= np.vecdot(u, between) ** 2 <= (
+        PARALLEL_SIN_SQUARED * uu * np.vecdot(between, between)
+    )
+    solve = free_i & free_j & ~parallel
+    only_i, only_j = free_i & ~free_j, free_j & ~solve
     safe = np.where(solve, determinant, 1.0)
     slide_i = np.where(solve, (uv * drift_j - vv * drift_i) / safe, 0.0)
     slide_j = np.where(solve, (uu * drift_j - uv * drift_i) / safe, 0.0)
