@@ -14,7 +14,9 @@ SCENARIOS = _ROOT / "scenarios"
 
 def model_names() -> list[str]:
     """Names of the shipped arm models, each a folder with an MJCF file of the same name."""
-    return sorted(path.parent.name for path in MODELS.glob("*/*.xml") if path.stem == path.parent.name)
+    return sorted(
+        path.parent.name for path in MODELS.glob("*/*.xml") if path.stem == path.parent.name
+    )
 
 
 def model_file(name: str) -> Path:

@@ -24,7 +24,8 @@ import numpy as np
 from workcell.control import feasible
 from workcell.control.controller import Controller
 from workcell.errors import ControlFault
-from workcell.scenario import Scenario
+from workcell.expect import judge
+from workcell.scenario import Meet, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.signals import Layout
@@ -36,7 +37,17 @@ SUMMARY_FILE = "summary.json"
 RECORDING_FILE = "recording.rrd"
 SCENE_FOLDER = "scene"
 
-PACKAGES = ("workcell", "mujoco", "dm-control", "mink", "daqp", "rerun-sdk", "numpy", "scipy", "pyarrow")
+PACKAGES = (
+    "workcell",
+    "mujoco",
+    "dm-control",
+    "mink",
+    "daqp",
+    "rerun-sdk",
+    "numpy",
+    "scipy",
+    "pyarrow",
+)
 """Packages whose versions decide what a trace holds."""
 
 
@@ -52,7 +63,9 @@ class Ending:
     """Whether a person stopped it."""
 
 
-def run(scenario: Scenario, out: Path, *, progress: Callable[[int, int], None] | None = None) -> dict:
+def run(
+    scenario: Scenario, out: Path, *, progress: Callable[[int, int], None] | None = None
+) -> dict:
     """Run a scenario into a run folder.
 
     Args:
@@ -80,7 +93,9 @@ def prepare(scenario: Scenario, folder: Path) -> Cell:
     return cell
 
 
-def simulate(cell: Cell, out: Path, *, progress: Callable[[int, int], None] | None = None) -> Ending:
+def simulate(
+    cell: Cell, out: Path, *, progress: Callable[[int, int], None] | None = None
+) -> Ending:
     """Step the plant with the controller in its callback; every tick becomes a row of the trace."""
     scenario = cell.scenario
     controller = Controller(cell)
@@ -88,7 +103,10 @@ def simulate(cell: Cell, out: Path, *, progress: Callable[[int, int], None] | No
     cell.place_home(data)
     step = _step_kinematic if scenario.simulation.plant == "kinematic" else _step_dynamic
     fault, interrupted = None, False
-    with TraceWriter(out, layout(cell), metadata(cell), scenario.simulation.period_s) as trace, installed(controller, cell.model, data):
+    with (
+        TraceWriter(out, layout(cell), metadata(cell), scenario.simulation.period_s) as trace,
+        installed(controller, cell.model, data),
+    ):
         try:
             for tick in range(scenario.ticks):
                 step(cell, controller, data)
@@ -106,20 +124,38 @@ def simulate(cell: Cell, out: Path, *, progress: Callable[[int, int], None] | No
 
 def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
     """Judge the trace, write the summary and derive the recording."""
-    from workcell.trace import view  # rerun takes half a second to import, which `check` need not wait for
+    from workcell.trace import (
+        view,
+    )  # rerun takes half a second to import, which `check` need not wait for
 
     trace = load(out)
     summary = summarise(cell, trace, ending)
-    (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    (out / SUMMARY_FILE).write_text(
+        json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    )
     view.record(trace, out / SCENE_FOLDER / "scene.xml", out / RECORDING_FILE)
     return summary
 
 
+def rebuild_recording(out: Path) -> Path:
+    """The recording of a run folder, derived anew where it is missing or from another rerun version."""
+    from workcell.trace import view
+
+    recording, trace = out / RECORDING_FILE, load(out)
+    if not recording.is_file() or not view.is_current(recording, trace):
+        view.record(trace, out / SCENE_FOLDER / "scene.xml", recording)
+    return recording
+
+
 def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
     """Metrics of a run, the verdict on each expectation, and where it all came from."""
-    values = {"ticks": ending.ticks, "fault": ending.fault, "interrupted": ending.interrupted} | metrics.summarise(trace)
-    verdicts = metrics.judge(values, cell.scenario.expect)
-    held = ending.fault is None and not ending.interrupted and all(v["held"] for v in verdicts.values())
+    values = metrics.summarise(trace) | {"fault": ending.fault, "interrupted": ending.interrupted}
+    verdicts = judge(values, cell.scenario.expect)
+    held = (
+        ending.fault is None
+        and not ending.interrupted
+        and all(v["held"] for v in verdicts.values())
+    )
     return {
         "scenario": cell.scenario.name,
         "scenario_sha256": cell.scenario.digest(),
@@ -151,7 +187,26 @@ def metadata(cell: Cell) -> dict[str, str]:
         "versions": json.dumps(versions()),
         "platform": f"{platform.system()} {platform.machine()} Python {platform.python_version()}",
         "model_sha256": cell.digest,
+        "meeting_pairs": json.dumps(meeting_pairs(cell)),
     }
+
+
+def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
+    """Watched pairs that a job brings together on purpose: the tools of the arms that meet."""
+    tools = {arm.name: cell.model.site_bodyid[arm.tool_site] for arm in cell.arms}
+    meetings = [
+        {arm.name, job.arm} for arm in cell.scenario.arm for job in arm.job if isinstance(job, Meet)
+    ]
+    return [
+        names
+        for (g, h), names, owners in zip(
+            cell.pairs.geoms, cell.pairs.names, cell.pairs.owners, strict=True
+        )
+        if set(owners) in meetings
+        and all(
+            cell.model.geom_bodyid[x] == tools[str(o)] for x, o in zip((g, h), owners, strict=True)
+        )
+    ]
 
 
 def versions() -> dict[str, str]:

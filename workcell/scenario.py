@@ -22,6 +22,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PrivateAttr,
     ValidationError,
     model_validator,
 )
@@ -36,7 +37,9 @@ UNIT_QUATERNION_TOLERANCE = 1e-3
 def _unit(wxyz: tuple[float, ...]) -> tuple[float, ...]:
     norm = math.sqrt(sum(x * x for x in wxyz))
     if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
-        raise ValueError(f"a unit quaternion is needed (w, x, y, z; norm 1 within {UNIT_QUATERNION_TOLERANCE}), its norm is {norm:.6g}")
+        raise ValueError(
+            f"a unit quaternion is needed (w, x, y, z; norm 1 within {UNIT_QUATERNION_TOLERANCE}), its norm is {norm:.6g}"
+        )
     return tuple(x / norm for x in wxyz)
 
 
@@ -159,11 +162,15 @@ class Arm(_Table):
     @model_validator(mode="after")
     def _driven_by_one(self) -> Arm:
         if (self.operator is None) == (not self.job):
-            raise ValueError("an arm is driven by either an operator or a sequence of jobs, exactly one of the two")
+            raise ValueError(
+                "an arm is driven by either an operator or a sequence of jobs, exactly one of the two"
+            )
         for key in ("velocity_limit_rad_s", "acceleration_limit_rad_s2"):
             limits = getattr(self, key)
             if limits is not None and len(limits) != len(self.home_rad):
-                raise ValueError(f"{key} has {len(limits)} entries, home_rad has {len(self.home_rad)}: one a joint is needed")
+                raise ValueError(
+                    f"{key} has {len(limits)} entries, home_rad has {len(self.home_rad)}: one a joint is needed"
+                )
         return self
 
 
@@ -220,6 +227,7 @@ class Scenario(_Table):
     arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
     obstacle: tuple[Obstacle, ...] = ()
     expect: dict[str, Annotated[Bound, BeforeValidator(_as_bound)]] = {}
+    _file: Path | None = PrivateAttr(None)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scenario:
@@ -233,8 +241,15 @@ class Scenario(_Table):
             for job in arm.job:
                 if isinstance(job, Meet) and (job.arm not in names or job.arm == arm.name):
                     others = ", ".join(n for n in names if n != arm.name) or "there is none"
-                    raise ValueError(f"arm {arm.name}: job meet: arm {job.arm!r} is not another arm of this scenario ({others})")
+                    raise ValueError(
+                        f"arm {arm.name}: job meet: arm {job.arm!r} is not another arm of this scenario ({others})"
+                    )
         return self
+
+    @property
+    def file(self) -> str:
+        """Where the scenario was read from, for messages; its name if from nowhere."""
+        return self.name if self._file is None else str(self._file)
 
     @property
     def ticks(self) -> int:
@@ -262,7 +277,9 @@ def find(scenario: str) -> Path:
     path = Path(scenario)
     if path.is_file():
         return path
-    raise InputError(f"no such scenario: {scenario!r}; allowed: a path to a .toml file, or one of {', '.join(assets.scenario_names())}")
+    raise InputError(
+        f"no such scenario: {scenario!r}; allowed: a path to a .toml file, or one of {', '.join(assets.scenario_names())}"
+    )
 
 
 def load(scenario: str | Path, overrides: tuple[str, ...] = ()) -> Scenario:
@@ -286,16 +303,23 @@ def load(scenario: str | Path, overrides: tuple[str, ...] = ()) -> Scenario:
         _apply(content, override, path)
     _resolve_models(content, path.parent)
     try:
-        return Scenario.model_validate(content)
+        scenario = Scenario.model_validate(content)
     except ValidationError as error:
-        raise InputError([_fault(item, content) for item in _roots(error.errors())], file=path) from error
+        raise InputError(
+            [_fault(item, content) for item in _roots(error.errors())], file=path
+        ) from error
+    scenario._file = path
+    return scenario
 
 
 def _apply(content: dict[str, Any], override: str, path: Path) -> None:
     """Set one dotted key in the parsed file."""
     key, separator, text = override.partition("=")
     if not separator or not key:
-        raise InputError(f"--set {override!r}: allowed is KEY=VALUE with a dotted key of the scenario file", file=path)
+        raise InputError(
+            f"--set {override!r}: allowed is KEY=VALUE with a dotted key of the scenario file",
+            file=path,
+        )
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -305,7 +329,10 @@ def _apply(content: dict[str, Any], override: str, path: Path) -> None:
     for part in parents:
         node = _descend(node, part, key, path)
     if isinstance(node, list):
-        raise InputError(f"--set {key}: {last!r} would replace one of several entries; name a key inside it", file=path)
+        raise InputError(
+            f"--set {key}: {last!r} would replace one of several entries; name a key inside it",
+            file=path,
+        )
     node[last] = value
 
 
@@ -339,7 +366,10 @@ def _roots(items: list[Any]) -> list[Any]:
         item
         for item in items
         if item["type"] != "too_short"
-        or not any(len(loc) > len(item["loc"]) and loc[: len(item["loc"])] == item["loc"] for loc in locations)
+        or not any(
+            len(loc) > len(item["loc"]) and loc[: len(item["loc"])] == item["loc"]
+            for loc in locations
+        )
     ]
 
 
@@ -392,7 +422,14 @@ def _first_table(annotation: Any) -> Any:
     return None
 
 
-_TAGGED = {"hold": Hold, "waypoints": Waypoints, "move": Move, "meet": Meet, "wait": Wait, "retreat": Retreat}
+_TAGGED = {
+    "hold": Hold,
+    "waypoints": Waypoints,
+    "move": Move,
+    "meet": Meet,
+    "wait": Wait,
+    "retreat": Retreat,
+}
 
 
 def _without_none(value: Any) -> Any:

@@ -21,12 +21,16 @@ import mink
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from workcell.control import criteria, ttc
 from workcell.control.ik import ArmIk, IkSolution
 from workcell.control.proximity import PairGeometry, Proximity
-from workcell.control.scaling import FactorGovernor, ScaleBound, acceleration_interval, pairwise_factor
+from workcell.control.scaling import (
+    FactorGovernor,
+    ScaleBound,
+    acceleration_interval,
+    pairwise_factor,
+)
 from workcell.control.servo import ServoCommand
 from workcell.errors import ControlFault
 from workcell.motion.jobs import JobSequence, Surroundings
@@ -37,6 +41,14 @@ from workcell.scene.handles import ArmHandles
 
 SELF_MOTION_RAD_S = 0.01
 """Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
+TASK_SLACK_M_S = 1e-5
+"""The tool task's own velocity is known up to its regularisation; without this slack it could seem to break the very
+rows it defines. Ten micrometres a second is 0.1 % of the slowest closing speed that matters, d_min / t_min."""
+AT_REST_M_S = 1e-4
+"""Rates below this at d_min count as standing: an arm that starts to leave is first moved by the last digits of its
+tool error, which may point either way, and must not be held for that."""
+LEAVING_FACTOR = 2.0
+"""An arm that could go this many times faster before any pair limited it is leaving: its factor need not rise slowly."""
 MODES = ("run", "self_motion", "scale", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
 
@@ -97,16 +109,30 @@ class _Arm:
         self.handles = handles
         self.dofs = handles.dofs
         self.support = bool(settings.job)
-        self.ik = ArmIk(handles, nv=nv, dt_s=dt, task_gain_per_s=control.task_gain_per_s, criterion_gain=control.criterion_gain)
+        self.ik = ArmIk(
+            handles,
+            nv=nv,
+            dt_s=dt,
+            task_gain_per_s=control.task_gain_per_s,
+            criterion_gain=control.criterion_gain,
+        )
         self.servo = ServoCommand(handles, dt_s=dt)
         self.governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=dt)
         pose = configuration.get_transform_frame_to_world(handles.tool_site_name, "site")
         position, wxyz = pose.translation(), pose.rotation().wxyz
-        self.jobs = JobSequence(settings.job, position, wxyz, control.d_min_m) if self.support else None
-        self.operator = None if settings.operator is None else make_operator(settings.operator, position, wxyz)
+        self.jobs = (
+            JobSequence(settings.job, position, wxyz, control.d_min_m) if self.support else None
+        )
+        self.operator = (
+            None if settings.operator is None else make_operator(settings.operator, position, wxyz)
+        )
         owners = cell.pairs.owners
-        self.all_pairs = np.array([k for k, pair in enumerate(owners) if handles.name in pair], dtype=np.intp)
-        self.criterion_pairs = np.array([k for k in self.all_pairs if owners[k][0] != owners[k][1]], dtype=np.intp)
+        self.all_pairs = np.array(
+            [k for k, pair in enumerate(owners) if handles.name in pair], dtype=np.intp
+        )
+        self.criterion_pairs = np.array(
+            [k for k in self.all_pairs if owners[k][0] != owners[k][1]], dtype=np.intp
+        )
         """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
         self.owned_pairs = np.array([], dtype=np.intp)
         """Pairs this arm answers for by slowing down; set once the order of the arms is known."""
@@ -135,10 +161,14 @@ class Controller:
         self._belief = mink.Configuration(cell.model)
         cell.place_home(self._belief.data)
         self._belief.update()
-        self._geometry = PairGeometry(cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr)
+        self._geometry = PairGeometry(
+            cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
+        )
         self._arms = [_Arm(cell, handles, self._belief) for handles in cell.arms]
         self._priority = [arm for arm in self._arms if not arm.support]
-        self._support = sorted((arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority)
+        self._support = sorted(
+            (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
+        )
         self._share_pairs()
         self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
@@ -178,7 +208,9 @@ class Controller:
 
     # ---------------------------------------------------------------- stages of a tick
 
-    def _measure(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> tuple[TickRecord, Proximity]:
+    def _measure(
+        self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
+    ) -> tuple[TickRecord, Proximity]:
         self._finite(qpos, "qpos, the measured joint positions")
         self._finite(qvel, "qvel, the measured joint velocities")
         belief, model = self._belief, self.cell.model
@@ -222,7 +254,11 @@ class Controller:
         mujoco.mju_mat2Quat(wxyz, data.site_xmat[handles.tool_site])
         distance = record.pair_distance_m[arm.criterion_pairs]
         rate = record.pair_rate_m_s[arm.criterion_pairs]
-        artc = criteria.artc_approaching if self._settings.criterion == "artc_approaching" else criteria.artc_signed
+        artc = (
+            criteria.artc_approaching
+            if self._settings.criterion == "artc_approaching"
+            else criteria.artc_signed
+        )
         return ArmRecord(
             target_position_m=arm.target.position_m,
             target_wxyz=arm.target.wxyz,
@@ -233,7 +269,9 @@ class Controller:
             tool_speed_m_s=float(np.linalg.norm(arm.jacobian[:3] @ record.qvel)),
             tool_error_m=0.0,
             tool_error_rad=0.0,
-            elbow_position_m=None if handles.elbow_site is None else data.site_xpos[handles.elbow_site].copy(),
+            elbow_position_m=None
+            if handles.elbow_site is None
+            else data.site_xpos[handles.elbow_site].copy(),
             artc_per_s=artc(distance, rate),
             armd_per_m=criteria.armd(distance),
         )
@@ -245,7 +283,11 @@ class Controller:
             row = record.arms[arm.handles.name]
             if arm.jobs is not None:
                 if self.tick:
-                    arm.jobs.advance(self._dt, arm.factor, Surroundings(tools, self._tool_distances(arm, proximity)))
+                    arm.jobs.advance(
+                        self._dt,
+                        arm.factor,
+                        Surroundings(tools, self._tool_distances(arm, proximity)),
+                    )
                 arm.target = arm.jobs.target()
                 row.job, row.path_s = arm.jobs.name, arm.jobs.clock_s
                 if arm.jobs.switched:
@@ -254,33 +296,44 @@ class Controller:
             elif arm.operator is not None:
                 arm.target = arm.operator.target(record.time_s)
                 row.job, row.path_s = arm.operator.name, record.time_s
-            for value in (arm.target.position_m, arm.target.wxyz, arm.target.velocity_m_s, arm.target.angular_velocity_rad_s):
+            for value in (
+                arm.target.position_m,
+                arm.target.wxyz,
+                arm.target.velocity_m_s,
+                arm.target.angular_velocity_rad_s,
+            ):
                 self._finite(value, f"the tool target of arm {arm.handles.name} from {row.job}")
             row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
             row.tool_error_m = float(np.linalg.norm(row.tool_position_m - row.target_position_m))
             row.tool_error_rad = _angle(row.tool_wxyz, row.target_wxyz)
-            arm.ik.tool.follow(arm.target)
-            arm.task_rad_s = arm.ik.least_motion(self._belief)
+            arm.task_rad_s = arm.ik.aim(self._belief, arm.target)
 
     def _plan(self) -> None:
         """What others may count on: a priority arm does what its operator asks, and no self-motion that helps them."""
         for arm in self._priority:
-            arm.ik.limit.previous_rad_s = arm.command_rad_s
+            arm.wanted_rad_s = arm.command_rad_s
             arm.command_rad_s = arm.task_rad_s
 
     def _steer(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
         row = record.arms[arm.handles.name]
-        other = self._rate_of_others(arm, proximity) if self._settings.variant == "relative" else np.zeros(len(proximity.distance_m))
-        arm.ik.limit.previous_rad_s = arm.wanted_rad_s
+        other = (
+            self._rate_of_others(arm, proximity)
+            if self._settings.variant == "relative"
+            else np.zeros(len(proximity.distance_m))
+        )
         solution = self._solve(arm, record, proximity, other)
         row.ik_status = solution.status
         arm.wanted_rad_s = solution.velocity_rad_s
         owned = arm.owned_pairs
         own = proximity.jacobian[np.ix_(owned, arm.dofs)] @ arm.wanted_rad_s
         bound = self._bound(arm, proximity, own, other[owned])
-        interval = acceleration_interval(arm.command_rad_s, arm.wanted_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
-        choice = arm.governor.choose(bound.factor, interval)
+        interval = acceleration_interval(
+            arm.command_rad_s, arm.wanted_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
+        )
+        choice = arm.governor.choose(
+            bound.factor, interval, leaving=bound.required >= LEAVING_FACTOR
+        )
         arm.factor = choice.factor
         arm.command_rad_s = choice.factor * arm.wanted_rad_s
         row.scale = choice.factor
@@ -290,15 +343,30 @@ class Controller:
             row.reason = "other_arm"
         row.mode = self._mode_of_support(arm, row, proximity)
 
-    def _bound(self, arm: _Arm, proximity: Proximity, own: NDArray[np.float64], other: NDArray[np.float64]) -> ScaleBound:
+    def _bound(
+        self, arm: _Arm, proximity: Proximity, own: NDArray[np.float64], other: NDArray[np.float64]
+    ) -> ScaleBound:
         """The pairwise rule; pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
         settings = self._settings
         distance = proximity.distance_m[arm.owned_pairs]
-        counted = np.where(distance <= settings.d_min_m, np.minimum(distance, 0.0), distance)
-        bound = pairwise_factor(counted, own, other, settings.t_min_s, standoff_m=settings.standoff_m)
+        reached = distance <= settings.d_min_m
+        counted = np.where(reached, np.minimum(distance, 0.0), distance)
+        own, other = (
+            np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
+        )
+        bound = pairwise_factor(
+            counted, own, other, settings.t_min_s, standoff_m=settings.standoff_m
+        )
         if self._accel_m_s2 is None:
             return bound
-        first = ttc.smallest(ttc.reciprocal_second_order(counted, own + other, self._accel_m_s2[arm.owned_pairs], standoff_m=settings.standoff_m))
+        first = ttc.smallest(
+            ttc.reciprocal_second_order(
+                counted,
+                own + other,
+                self._accel_m_s2[arm.owned_pairs],
+                standoff_m=settings.standoff_m,
+            )
+        )
         factor = min(1.0, first.ttc_s / settings.t_min_s)
         return replace(bound, factor=factor, pair=first.pair if factor < 1.0 else -1)
 
@@ -323,31 +391,40 @@ class Controller:
 
     # ---------------------------------------------------------------- parts of the stages
 
-    def _solve(self, arm: _Arm, record: TickRecord, proximity: Proximity, other: NDArray[np.float64]) -> IkSolution:
+    def _solve(
+        self, arm: _Arm, record: TickRecord, proximity: Proximity, other: NDArray[np.float64]
+    ) -> IkSolution:
         """Inverse kinematics with the arm's criterion and the inequality on its self-motion.
 
         A row forbids what would bring a pair below t_min, but never asks for more than the tool
         task alone gives: what the path or the operator wants is not the null space's to refuse.
         """
         settings, pairs = self._settings, arm.criterion_pairs
-        own_rate = record.pair_rate_m_s if not arm.support else proximity.jacobian[:, arm.dofs] @ record.qvel[arm.dofs]
-        arm.ik.criterion.objective = criteria.objective(
+        own_rate = (
+            record.pair_rate_m_s
+            if not arm.support
+            else proximity.jacobian[:, arm.dofs] @ record.qvel[arm.dofs]
+        )
+        objective = criteria.objective(
             settings.criterion,
             proximity.distance_m[pairs],
             own_rate[pairs],
             proximity.jacobian[np.ix_(pairs, arm.dofs)],
             other_rate_m_s=other[pairs],
         )
-        rows = proximity.jacobian[arm.all_pairs]
-        own = rows[:, arm.dofs]
+        rows = proximity.jacobian[np.ix_(arm.all_pairs, arm.dofs)]
         distance = proximity.distance_m[arm.all_pairs] - settings.standoff_m
-        allowed = np.where(distance <= settings.d_min_m, 0.0, -distance / settings.t_min_s) - other[arm.all_pairs]
-        allowed = np.minimum(allowed, own @ arm.task_rad_s)
-        reachable = -np.abs(own) @ arm.handles.velocity_limit_rad_s
+        allowed = (
+            np.where(distance <= settings.d_min_m, 0.0, -distance / settings.t_min_s)
+            - other[arm.all_pairs]
+        )
+        allowed = np.minimum(allowed, rows @ arm.task_rad_s - TASK_SLACK_M_S)
+        reachable = -np.abs(rows) @ arm.handles.velocity_limit_rad_s
         near = allowed > reachable  # the rest cannot be violated at any allowed velocity
-        arm.ik.ttc.give(rows[near], allowed[near])
         try:
-            return arm.ik.solve(self._belief)
+            return arm.ik.solve(
+                self._belief, arm.wanted_rad_s, objective, rows[near], allowed[near]
+            )
         except FloatingPointError as error:
             raise ControlFault(self.tick, str(error)) from error
 
@@ -374,7 +451,9 @@ class Controller:
 
     def _tool_distances(self, arm: _Arm, proximity: Proximity) -> dict[str, float]:
         """Smallest distance between the arm's tool and each other arm's tool."""
-        return {name: float(proximity.distance_m[pairs].min()) for name, pairs in arm.tool_pairs.items()}
+        return {
+            name: float(proximity.distance_m[pairs].min()) for name, pairs in arm.tool_pairs.items()
+        }
 
     def _share_pairs(self) -> None:
         """Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
@@ -383,15 +462,23 @@ class Controller:
         number, of equals the later in the scenario.
         """
         model, pairs = self.cell.model, self.cell.pairs
-        rank = {arm.handles.name: (arm.support, arm.handles.priority, index) for index, arm in enumerate(self._arms)}
-        tool_body = {arm.handles.name: model.site_bodyid[arm.handles.tool_site] for arm in self._arms}
+        rank = {
+            arm.handles.name: (arm.support, arm.handles.priority, index)
+            for index, arm in enumerate(self._arms)
+        }
+        tool_body = {
+            arm.handles.name: model.site_bodyid[arm.handles.tool_site] for arm in self._arms
+        }
         for arm in self._arms:
             name = arm.handles.name
             for k, owners in enumerate(pairs.owners):
                 parties = [owner for owner in owners if owner is not None]
                 if arm.support and name in parties and name == max(parties, key=rank.__getitem__):
                     arm.owned_pairs = np.append(arm.owned_pairs, k)
-                if name in parties and all(owner is not None and model.geom_bodyid[g] == tool_body[owner] for g, owner in zip(pairs.geoms[k], owners, strict=True)):
+                if name in parties and all(
+                    owner is not None and model.geom_bodyid[g] == tool_body[owner]
+                    for g, owner in zip(pairs.geoms[k], owners, strict=True)
+                ):
                     for other in parties:
                         if other != name:
                             arm.tool_pairs.setdefault(other, []).append(k)
@@ -407,5 +494,6 @@ def _or_none(value: float) -> float | None:
 
 def _angle(a_wxyz: NDArray[np.float64], b_wxyz: NDArray[np.float64]) -> float:
     """Angle of the rotation between two unit quaternions, accurate near zero."""
-    relative = Rotation.from_quat(a_wxyz, scalar_first=True).inv() * Rotation.from_quat(b_wxyz, scalar_first=True)
-    return float(relative.magnitude())
+    # |a - b| and |a + b| are 2 sin and 2 cos of a quarter of the angle; the sign of a quaternion is free.
+    apart, along = np.linalg.norm(a_wxyz - b_wxyz), np.linalg.norm(a_wxyz + b_wxyz)
+    return float(4.0 * np.arctan2(min(apart, along), max(apart, along)))

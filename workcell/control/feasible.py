@@ -40,7 +40,7 @@ def check(cell: Cell) -> None:
         if arm.job:
             faults += _no_room_to_brake(cell, arm, handles)
     if faults:
-        raise InputError(faults, file=cell.scenario.name)
+        raise InputError(faults, file=cell.scenario.file)
 
 
 def _out_of_reach(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
@@ -73,26 +73,44 @@ def _waypoint_lists(arm: scenario.Arm) -> Iterator[tuple[str, tuple[scenario.Way
             yield f"job.{index}.waypoints", job.waypoints
 
 
-def _move_to(belief: mink.Configuration, task: ToolTask, handles: ArmHandles, geometry: PathGeometry, s_m: float) -> NDArray[np.float64]:
+def _move_to(
+    belief: mink.Configuration,
+    task: ToolTask,
+    handles: ArmHandles,
+    geometry: PathGeometry,
+    s_m: float,
+) -> NDArray[np.float64]:
     """Newton steps towards a pose, clipped to the joint ranges; returns the remaining tool error (6,)."""
     task.follow(standing(*geometry.pose(s_m)))
     for _ in range(_ITERATIONS):
         error = task.compute_error(belief)
         if np.abs(error).max() < REACHED_M / 10:
             break
-        step = np.linalg.lstsq(task.compute_jacobian(belief)[:, handles.dofs], -error, rcond=1e-3)[0]
+        step = np.linalg.lstsq(task.compute_jacobian(belief)[:, handles.dofs], -error, rcond=1e-3)[
+            0
+        ]
         q = belief.data.qpos.copy()
-        q[handles.qpos] = np.clip(q[handles.qpos] + np.clip(step, -0.2, 0.2), handles.lower_rad, handles.upper_rad)
+        q[handles.qpos] = np.clip(
+            q[handles.qpos] + np.clip(step, -0.2, 0.2), handles.lower_rad, handles.upper_rad
+        )
         belief.update(q)
     return task.compute_error(belief)
 
 
 def _no_room_to_brake(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
     control = cell.scenario.control
-    speed = max((job.speed_m_s for job in arm.job if not isinstance(job, scenario.Wait)), default=0.0)
-    others_move = any(other.operator is not None and not isinstance(other.operator, scenario.Hold) for other in cell.scenario.arm)
+    speed = max(
+        (job.speed_m_s for job in arm.job if not isinstance(job, scenario.Wait)), default=0.0
+    )
+    others_move = any(
+        other.operator is not None and not isinstance(other.operator, scenario.Hold)
+        for other in cell.scenario.arm
+    )
     needed = smallest_t_min(
-        cell.period_s + control.reaction_s, speed, braking_deceleration_m_s2(cell, handles), other_keeps_coming=others_move
+        cell.period_s + control.reaction_s,
+        speed,
+        braking_deceleration_m_s2(cell, handles),
+        other_keeps_coming=others_move,
     )
     if control.t_min_s < needed:
         yield (
@@ -107,6 +125,8 @@ def braking_deceleration_m_s2(cell: Cell, handles: ArmHandles) -> float:
     cell.place_home(belief.data)
     belief.update()
     jacobian = belief.get_frame_jacobian(handles.tool_site_name, "site")[:3, handles.dofs]
-    joint_rates = np.linalg.pinv(jacobian, rcond=1e-3)  # (n, 3): joint velocities for 1 m/s along each axis
+    joint_rates = np.linalg.pinv(
+        jacobian, rcond=1e-3
+    )  # (n, 3): joint velocities for 1 m/s along each axis
     with np.errstate(divide="ignore"):
         return float(np.min(handles.acceleration_limit_rad_s2[:, None] / np.abs(joint_rates)))

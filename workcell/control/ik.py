@@ -7,7 +7,7 @@ One quadratic program an arm, in the displacement Δq = q̇ dt of the arm's own 
                 position, velocity and acceleration limits
                 ḋ >= bound              (the time-to-collision inequality on self-motion)
 
-Built by mink from its own and our tasks and limits, solved by daqp. When it has no solution a
+Defined by mink's and our tasks and limits, solved by daqp. When it has no solution a
 written ladder of weaker programs follows, and the answer says which rung it came from. The tasks
 and limits are usable with any mink `Configuration`.
 """
@@ -16,10 +16,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import daqp
 import mink
 import mujoco
 import numpy as np
-import qpsolvers
 from mink.limits.limit import Constraint
 from mink.tasks.task import BaseTask, Objective
 from numpy.typing import NDArray
@@ -29,7 +29,11 @@ from workcell.control.proximity import PairGeometry
 from workcell.motion.path import Target
 from workcell.scene.handles import ArmHandles
 
-SOLVER = "daqp"
+SOLVER_TOLERANCE_RAD_S = 1e-9
+"""How far a constraint may be missed; far below what an encoder sees."""
+_SOLVED = 1  # daqp's exit flag for an optimal solution; every other one is a failure
+_UNBOUNDED = 1e30  # daqp's infinity
+_EQUALITIES = np.full(6, 5, dtype=np.intc)  # daqp's mark of an equality constraint
 TASK_COST = 1e3
 """Weight of the tool task where it cannot be an equality, against 1 for the motion of the joints: the
 tool then gives way by about 1e-6 of what the criterion asks for."""
@@ -52,7 +56,13 @@ class ToolTask(mink.FrameTask):
     """
 
     def __init__(self, site: str, *, gain_per_s: float, dt_s: float):
-        super().__init__(site, "site", position_cost=TASK_COST, orientation_cost=TASK_COST, gain=min(1.0, gain_per_s * dt_s))
+        super().__init__(
+            site,
+            "site",
+            position_cost=TASK_COST,
+            orientation_cost=TASK_COST,
+            gain=min(1.0, gain_per_s * dt_s),
+        )
         self._dt_s = dt_s
         self._twist = np.zeros(6)
 
@@ -61,13 +71,17 @@ class ToolTask(mink.FrameTask):
         rotation = mink.SO3(np.asarray(target.wxyz))
         self.set_target(mink.SE3.from_rotation_and_translation(rotation, target.position_m))
         back = rotation.inverse()
-        self._twist = np.concatenate([back.apply(target.velocity_m_s), back.apply(target.angular_velocity_rad_s)])
+        self._twist = np.concatenate(
+            [back.apply(target.velocity_m_s), back.apply(target.angular_velocity_rad_s)]
+        )
 
     def compute_error(self, configuration: mink.Configuration) -> NDArray[np.float64]:
         """mink's body twist from the tool to its target, plus what the target moves within this step."""
         return super().compute_error(configuration) + self._ahead()
 
-    def _error_and_jacobian(self, configuration: mink.Configuration) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _error_and_jacobian(
+        self, configuration: mink.Configuration
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         error, jacobian = super()._error_and_jacobian(configuration)
         return error + self._ahead(), jacobian
 
@@ -120,13 +134,17 @@ class JointLimit(mink.Limit):
         self._rows[np.arange(n), arm.dofs] = 1.0
         self._rows[np.arange(n, 2 * n), arm.dofs] = -1.0
 
-    def bounds(self, q_rad: NDArray[np.float64], dt_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds(
+        self, q_rad: NDArray[np.float64], dt_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n,) smallest and largest joint velocity."""
         arm = self.arm
         low = np.maximum(-arm.velocity_limit_rad_s, -_approach(q_rad - arm.lower_rad, arm, dt_s))
         high = np.minimum(arm.velocity_limit_rad_s, _approach(arm.upper_rad - q_rad, arm, dt_s))
         step = arm.acceleration_limit_rad_s2 * dt_s
-        return np.minimum(np.maximum(low, self.previous_rad_s - step), high), np.maximum(np.minimum(high, self.previous_rad_s + step), low)
+        return np.minimum(np.maximum(low, self.previous_rad_s - step), high), np.maximum(
+            np.minimum(high, self.previous_rad_s + step), low
+        )
 
     def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> Constraint:
         """Rows ±1 on the arm's joints."""
@@ -146,7 +164,9 @@ class TtcLimit(mink.Limit):
         standoff_m: Distance the time is counted to.
     """
 
-    def __init__(self, geometry: PairGeometry | None = None, *, t_min_s: float, standoff_m: float = 0.0):
+    def __init__(
+        self, geometry: PairGeometry | None = None, *, t_min_s: float, standoff_m: float = 0.0
+    ):
         self.geometry = geometry
         self.t_min_s = t_min_s
         self.standoff_m = standoff_m
@@ -163,7 +183,10 @@ class TtcLimit(mink.Limit):
         elif self.geometry is not None:
             mujoco.mj_sensorPos(configuration.model, configuration.data)
             measured = self.geometry.measure(configuration.data)
-            jacobian, bound = measured.jacobian, (self.standoff_m - measured.distance_m) / self.t_min_s
+            jacobian, bound = (
+                measured.jacobian,
+                (self.standoff_m - measured.distance_m) / self.t_min_s,
+            )
         else:
             raise ValueError("TtcLimit needs either a PairGeometry or rows given beforehand")
         if not len(bound):
@@ -184,6 +207,10 @@ class IkSolution:
 class ArmIk:
     """The inverse kinematics of one arm.
 
+    `tasks`, `limits` and `constraints` are what defines it: `mink.solve_ik` with them gives the same
+    velocities. `solve` assembles the same program for the arm's own joints alone, in q̇, so that a
+    solver's tolerance means radians a second, and each task is evaluated once a tick.
+
     Args:
         arm: Its addresses and limits.
         nv: Size of the model's tangent space.
@@ -192,61 +219,154 @@ class ArmIk:
         criterion_gain: Weight of the null-space criterion.
     """
 
-    def __init__(self, arm: ArmHandles, *, nv: int, dt_s: float, task_gain_per_s: float, criterion_gain: float):
+    def __init__(
+        self,
+        arm: ArmHandles,
+        *,
+        nv: int,
+        dt_s: float,
+        task_gain_per_s: float,
+        criterion_gain: float,
+    ):
         self.arm = arm
         self.dt_s = dt_s
         self.tool = ToolTask(arm.tool_site_name, gain_per_s=task_gain_per_s, dt_s=dt_s)
         self.criterion = CriterionTask(arm.dofs, nv=nv, dt_s=dt_s, gain=criterion_gain)
         self.limit = JointLimit(arm, nv=nv)
         self.ttc = TtcLimit(t_min_s=1.0)
-
-    def least_motion(self, configuration: mink.Configuration) -> NDArray[np.float64]:
-        """(n,) the smallest joint velocity that gives the tool its wanted twist, limits aside."""
-        jacobian = self.tool.compute_jacobian(configuration)[:, self.arm.dofs]
-        wanted = -self.tool.gain * self.tool.compute_error(configuration) / self.dt_s
-        gram = jacobian @ jacobian.T
-        gram.flat[:: len(gram) + 1] += LEAST_MOTION_DAMPING
-        return jacobian.T @ np.linalg.solve(gram, wanted)
-
-    def solve(self, configuration: mink.Configuration) -> IkSolution:
-        """Descend the ladder until a program has a finite solution within its limits."""
-        for status, tasks, limits, constraints in (
-            (OPTIMAL, [self.criterion], [self.limit, self.ttc], [self.tool]),
-            (TASK_ONLY, [self._still], [self.limit], [self.tool]),
-            (TASK_SOFT, [self._still, self.tool], [self.limit], []),
-        ):
-            problem = mink.build_ik(configuration, tasks, self.dt_s, damping=0.0, limits=limits, constraints=constraints)
-            velocity = self._solve(problem, configuration)
-            if velocity is not None:
-                return IkSolution(velocity, status)
-        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
-        return IkSolution(np.clip(0.0, low, high), STOPPED)
+        self._eye = np.eye(len(arm.dofs))
+        self._no_rows = np.zeros((0, len(arm.dofs))), np.zeros(0)
+        self._tool_rows = np.zeros((6, len(arm.dofs)))
+        self._tool_rates = np.zeros(6)
+        self._low = self._high = np.zeros(len(arm.dofs))
 
     @property
-    def _still(self) -> CriterionTask:
-        return CriterionTask(self.arm.dofs, nv=len(self.criterion._eye), dt_s=self.dt_s, gain=0.0)
+    def tasks(self) -> list[BaseTask]:
+        """The cost of the full program."""
+        return [self.criterion]
 
-    def _solve(self, problem: qpsolvers.Problem, configuration: mink.Configuration) -> NDArray[np.float64] | None:
-        """Solve the program restricted to this arm's joints; None where there is no acceptable solution."""
-        dofs = self.arm.dofs
-        P, c = problem.P[np.ix_(dofs, dofs)], problem.q[dofs]
-        G, h = problem.G[:, dofs], problem.h
-        A = None if problem.A is None else problem.A[:, dofs]
-        for array in (P, c, G, h, A, problem.b):
-            if array is not None and not np.isfinite(array).all():
-                raise FloatingPointError(f"arm {self.arm.name}: inverse kinematics was given a number that is not finite")
-        result = qpsolvers.solve_problem(qpsolvers.Problem(P, c, G, h, A, problem.b), solver=SOLVER)
-        if not result.found or result.x is None or not np.isfinite(result.x).all():
+    @property
+    def constraints(self) -> list[mink.Task]:
+        """Its equality."""
+        return [self.tool]
+
+    @property
+    def limits(self) -> list[mink.Limit]:
+        """Its inequalities."""
+        return [self.limit, self.ttc]
+
+    def aim(self, configuration: mink.Configuration, target: Target) -> NDArray[np.float64]:
+        """Take this tick's target and state.
+
+        Returns:
+            (n,) the smallest joint velocity that gives the tool its wanted twist, limits aside.
+        """
+        self.tool.follow(target)
+        error, jacobian = self.tool._error_and_jacobian(configuration)
+        self._tool_rows = jacobian[:, self.arm.dofs]
+        self._tool_rates = error * (-self.tool.gain / self.dt_s)
+        gram = self._tool_rows @ self._tool_rows.T
+        gram.flat[:: len(gram) + 1] += LEAST_MOTION_DAMPING
+        return self._tool_rows.T @ np.linalg.solve(gram, self._tool_rates)
+
+    def solve(
+        self,
+        configuration: mink.Configuration,
+        previous_rad_s: NDArray[np.float64],
+        objective: NullspaceObjective,
+        rows: NDArray[np.float64],
+        smallest_rate_m_s: NDArray[np.float64],
+    ) -> IkSolution:
+        """Descend the ladder until a program has a finite solution within its limits.
+
+        Args:
+            configuration: The state `aim` was given.
+            previous_rad_s: (n,) velocity from which the acceleration counts.
+            objective: The null-space criterion.
+            rows: (R, n) rows G of the pairs to be kept apart.
+            smallest_rate_m_s: (R,) smallest rate allowed to each.
+
+        Raises:
+            FloatingPointError: an input is not finite; the solver itself would not say so.
+        """
+        self.limit.previous_rad_s = previous_rad_s
+        self._low, self._high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
+        gain = self.criterion.gain
+        H, c = self._eye + gain * objective.hessian, gain * objective.linear
+        for values in (
+            self._tool_rows,
+            self._tool_rates,
+            self._low,
+            self._high,
+            H,
+            c,
+            rows,
+            smallest_rate_m_s,
+        ):
+            if not np.isfinite(values).all():
+                raise FloatingPointError(
+                    f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
+                )
+        velocity, status = self._program(H, c, rows, smallest_rate_m_s, hard_tool=True), OPTIMAL
+        if velocity is None:
+            velocity, status = (
+                self._program(self._eye, np.zeros_like(c), *self._no_rows, hard_tool=True),
+                TASK_ONLY,
+            )
+        if velocity is None:
+            weighted = TASK_COST**2 * self._tool_rows.T
+            H, c = self._eye + weighted @ self._tool_rows, -weighted @ self._tool_rates
+            velocity, status = self._program(H, c, *self._no_rows, hard_tool=False), TASK_SOFT
+        if velocity is None:
+            velocity, status = np.zeros_like(previous_rad_s), STOPPED
+        # The solver keeps inequalities to a tolerance; the joint limits are meant exactly.
+        return IkSolution(np.clip(velocity, self._low, self._high), status)
+
+    def _program(
+        self,
+        H: NDArray[np.float64],
+        c: NDArray[np.float64],
+        rows: NDArray[np.float64],
+        lower: NDArray[np.float64],
+        *,
+        hard_tool: bool,
+    ) -> NDArray[np.float64] | None:
+        """Minimise ½ q̇ᵀHq̇ + cᵀq̇ within the joint box and rows q̇ >= lower; None where there is no acceptable solution."""
+        A, upper, sense = (
+            rows,
+            np.full(len(lower), _UNBOUNDED),
+            np.zeros(len(c) + len(lower), dtype=np.intc),
+        )
+        if hard_tool:
+            A = np.concatenate([rows, self._tool_rows])
+            lower, upper = (
+                np.concatenate([lower, self._tool_rates]),
+                np.concatenate([upper, self._tool_rates]),
+            )
+            sense = np.concatenate([sense, _EQUALITIES])
+        low, high = np.maximum(self._low, -_UNBOUNDED), np.minimum(self._high, _UNBOUNDED)
+        velocity, _, flag, _ = daqp.solve(
+            H,
+            c,
+            A,
+            np.concatenate([high, upper]),
+            np.concatenate([low, lower]),
+            sense,
+            primal_tol=SOLVER_TOLERANCE_RAD_S,
+        )
+        if flag != _SOLVED or not np.isfinite(velocity).all():
             return None
-        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
-        # The solver keeps its inequalities to a tolerance; the limits are meant exactly.
-        return np.clip(result.x / self.dt_s, low, high)
+        return velocity
 
 
-def _approach(distance_rad: NDArray[np.float64], arm: ArmHandles, dt_s: float) -> NDArray[np.float64]:
+def _approach(
+    distance_rad: NDArray[np.float64], arm: ArmHandles, dt_s: float
+) -> NDArray[np.float64]:
     """(n,) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
     a = arm.acceleration_limit_rad_s2
     inside = np.maximum(distance_rad, 0.0)
     with np.errstate(over="ignore"):
         speed = -a * dt_s / 2 + np.sqrt((a * dt_s / 2) ** 2 + 2 * a * inside)
-    return np.where(distance_rad < 0, np.maximum(distance_rad / dt_s, -arm.velocity_limit_rad_s), speed)
+    return np.where(
+        distance_rad < 0, np.maximum(distance_rad / dt_s, -arm.velocity_limit_rad_s), speed
+    )

@@ -200,7 +200,11 @@ class FactorGovernor:
         self._previous = 0.0
 
     def choose(
-        self, ttc_factor: float, interval: AccelerationInterval | None = None
+        self,
+        ttc_factor: float,
+        interval: AccelerationInterval | None = None,
+        *,
+        leaving: bool = False,
     ) -> FactorChoice:
         """Grant this tick's factor and remember it.
 
@@ -212,6 +216,7 @@ class FactorGovernor:
         Args:
             ttc_factor: `ScaleBound.factor`, in [0, 1].
             interval: What the joints can reach; None leaves them out.
+            leaving: No near pair closes: the factor may rise at once, as leaving must not be slowed.
 
         Raises:
             WorkcellError: The factor is not in [0, 1].
@@ -219,7 +224,7 @@ class FactorGovernor:
         if not 0.0 <= ttc_factor <= 1.0:
             raise WorkcellError(f"ttc_factor is {ttc_factor}; must be in [0, 1]")
         factor, limiter = ttc_factor, "ttc" if ttc_factor < 1.0 else "none"
-        if self._previous + self._rise < factor:
+        if not leaving and self._previous + self._rise < factor:
             factor, limiter = self._previous + self._rise, "rise"
         if interval is not None:
             if interval.highest < factor:

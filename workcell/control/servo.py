@@ -29,7 +29,9 @@ class ServoCommand:
         self._actuators = np.array([servo.actuator for servo in arm.servos], dtype=np.intp)
         self._reference: NDArray[np.float64] | None = None
 
-    def write(self, data: mujoco.MjData, q_rad: NDArray[np.float64], command_rad_s: NDArray[np.float64]) -> bool:
+    def write(
+        self, data: mujoco.MjData, q_rad: NDArray[np.float64], command_rad_s: NDArray[np.float64]
+    ) -> bool:
         """Write one tick's controls.
 
         Args:
@@ -45,5 +47,7 @@ class ServoCommand:
         wanted = self._reference + command_rad_s * self._dt_s
         self._reference = np.clip(wanted, q_rad - LARGEST_LAG_RAD, q_rad + LARGEST_LAG_RAD)
         lost = self._position & (self._reference != wanted)
-        data.ctrl[self._actuators] = np.where(self._position, self._reference + self._lead_s * command_rad_s, command_rad_s)
+        data.ctrl[self._actuators] = np.where(
+            self._position, self._reference + self._lead_s * command_rad_s, command_rad_s
+        )
         return bool(lost.any())

@@ -36,7 +36,13 @@ class JobSequence:
         d_min_m: Distance at which a `meet` is complete.
     """
 
-    def __init__(self, jobs: tuple[scenario.Job, ...], position_m: NDArray[np.float64], wxyz: NDArray[np.float64], d_min_m: float):
+    def __init__(
+        self,
+        jobs: tuple[scenario.Job, ...],
+        position_m: NDArray[np.float64],
+        wxyz: NDArray[np.float64],
+        d_min_m: float,
+    ):
         self._jobs = jobs
         self._d_min_m = d_min_m
         self._index = -1
@@ -98,7 +104,11 @@ class JobSequence:
             self.clock_s += step_s  # waiting is not slowed down
         else:
             self.clock_s += step_s * factor
-        if isinstance(job, scenario.Meet) and not self._met and surroundings.tool_distance_m[job.arm] <= self._d_min_m:
+        if (
+            isinstance(job, scenario.Meet)
+            and not self._met
+            and surroundings.tool_distance_m[job.arm] <= self._d_min_m
+        ):
             self._met = self.switched = True
             self._leave(self._legs[0])
             self._target = standing(self._target.position_m, self._target.wxyz)
@@ -135,16 +145,31 @@ class JobSequence:
             return
         if isinstance(job, scenario.Retreat):
             profile = {"speed_m_s": job.speed_m_s, "acceleration_m_s2": job.acceleration_m_s2}
-            self._legs = [TimedPath(geometry, **profile, start_m=length, end_m=0.0) for geometry, length in reversed(self._travelled)]
+            self._legs = [
+                TimedPath(geometry, **profile, start_m=length, end_m=0.0)
+                for geometry, length in reversed(self._travelled)
+            ]
             self._travelled = []
         else:
             self._legs = [
-                TimedPath(self._geometry(job, surroundings), speed_m_s=job.speed_m_s, acceleration_m_s2=job.acceleration_m_s2)
+                TimedPath(
+                    self._geometry(job, surroundings),
+                    speed_m_s=job.speed_m_s,
+                    acceleration_m_s2=job.acceleration_m_s2,
+                )
             ]
-        self._target = self._legs[0].target(0.0) if self._legs else standing(self._target.position_m, self._target.wxyz)
+        self._target = (
+            self._legs[0].target(0.0)
+            if self._legs
+            else standing(self._target.position_m, self._target.wxyz)
+        )
 
-    def _geometry(self, job: scenario.Move | scenario.Meet, surroundings: Surroundings) -> PathGeometry:
+    def _geometry(
+        self, job: scenario.Move | scenario.Meet, surroundings: Surroundings
+    ) -> PathGeometry:
         if isinstance(job, scenario.Move):
             return path_through(job.waypoints, self._target.position_m, self._target.wxyz)
         there = surroundings.tool_position_m[job.arm]
-        return PathGeometry(np.array([self._target.position_m, there]), np.array([self._target.wxyz] * 2))
+        return PathGeometry(
+            np.array([self._target.position_m, there]), np.array([self._target.wxyz] * 2)
+        )

@@ -43,7 +43,12 @@ class WaypointsOperator:
 
     name = "waypoints"
 
-    def __init__(self, settings: scenario.Waypoints, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]):
+    def __init__(
+        self,
+        settings: scenario.Waypoints,
+        position_m: NDArray[np.float64],
+        wxyz: NDArray[np.float64],
+    ):
         self._path = TimedPath(
             path_through(settings.waypoints, position_m, wxyz),
             speed_m_s=settings.speed_m_s,
@@ -55,7 +60,11 @@ class WaypointsOperator:
         return self._path.target(time_s - self._start_s)
 
 
-def path_through(waypoints: tuple[scenario.Waypoint, ...], position_m: NDArray[np.float64], wxyz: NDArray[np.float64]) -> PathGeometry:
+def path_through(
+    waypoints: tuple[scenario.Waypoint, ...],
+    position_m: NDArray[np.float64],
+    wxyz: NDArray[np.float64],
+) -> PathGeometry:
     """The curve from a pose through waypoints of a scenario; a missing orientation keeps the one before."""
     positions, orientations = [position_m], [np.asarray(wxyz, dtype=float)]
     for waypoint in waypoints:
@@ -64,7 +73,9 @@ def path_through(waypoints: tuple[scenario.Waypoint, ...], position_m: NDArray[n
     return PathGeometry(np.array(positions), np.array(orientations))
 
 
-def make_operator(settings: scenario.Operator, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Operator:
+def make_operator(
+    settings: scenario.Operator, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]
+) -> Operator:
     """The operator a scenario asks for, for a tool that starts at the given pose."""
     if isinstance(settings, scenario.Hold):
         return HoldOperator(position_m, wxyz)

@@ -49,8 +49,14 @@ class PathGeometry:
         wxyz: (K, 4) unit quaternions.
     """
 
-    def __init__(self, positions_m: Sequence[Sequence[float]] | NDArray[np.float64], wxyz: Sequence[Sequence[float]] | NDArray[np.float64]):
-        positions, quaternions = _without_repeats(np.asarray(positions_m, dtype=float), np.asarray(wxyz, dtype=float))
+    def __init__(
+        self,
+        positions_m: Sequence[Sequence[float]] | NDArray[np.float64],
+        wxyz: Sequence[Sequence[float]] | NDArray[np.float64],
+    ):
+        positions, quaternions = _without_repeats(
+            np.asarray(positions_m, dtype=float), np.asarray(wxyz, dtype=float)
+        )
         self.positions_m, self.wxyz = positions, quaternions
         if len(positions) == 1:
             self.length_m = 0.0
@@ -72,7 +78,11 @@ class PathGeometry:
         at = np.linspace(0.0, self.length_m, len(grid))
         where = np.interp(at, length, fine)
         quats = _continuous(orientation(where).as_quat(scalar_first=True))
-        self._curve = CubicSpline(at, np.hstack([position(where), quats]), bc_type="not-a-knot" if len(at) > 3 else "natural")
+        self._curve = CubicSpline(
+            at,
+            np.hstack([position(where), quats]),
+            bc_type="not-a-knot" if len(at) > 3 else "natural",
+        )
         self._slope = self._curve.derivative()
 
     def pose(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -92,7 +102,11 @@ class PathGeometry:
         dw, dx, dy, dz = rate[3:]
         # ω = 2 q̇ q*, vector part.
         angular = 2.0 * np.array(
-            [-dw * x + dx * w - dy * z + dz * y, -dw * y + dx * z + dy * w - dz * x, -dw * z - dx * y + dy * x + dz * w]
+            [
+                -dw * x + dx * w - dy * z + dz * y,
+                -dw * y + dx * z + dy * w - dz * x,
+                -dw * z - dx * y + dy * x + dz * w,
+            ]
         )
         return rate[:3], angular
 
@@ -168,16 +182,26 @@ def _ramp_up(time_s: float, speed_m_s: float, ramp_s: float) -> tuple[float, flo
 
 def _chords(positions: NDArray[np.float64], rotations: Rotation) -> NDArray[np.float64]:
     turns = (rotations[:-1].inv() * rotations[1:]).magnitude()
-    return np.hypot(np.linalg.norm(np.diff(positions, axis=0), axis=1), TURN_LENGTH_M_PER_RAD * turns)
+    return np.hypot(
+        np.linalg.norm(np.diff(positions, axis=0), axis=1), TURN_LENGTH_M_PER_RAD * turns
+    )
 
 
-def _without_repeats(positions: NDArray[np.float64], wxyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _without_repeats(
+    positions: NDArray[np.float64], wxyz: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A waypoint equal to the one before adds nothing and would make the spline's knots coincide."""
     keep = [0]
     for k in range(1, len(positions)):
         last = keep[-1]
-        turn = (Rotation.from_quat(wxyz[last], scalar_first=True).inv() * Rotation.from_quat(wxyz[k], scalar_first=True)).magnitude()
-        if np.hypot(np.linalg.norm(positions[k] - positions[last]), TURN_LENGTH_M_PER_RAD * turn) > 1e-6:
+        turn = (
+            Rotation.from_quat(wxyz[last], scalar_first=True).inv()
+            * Rotation.from_quat(wxyz[k], scalar_first=True)
+        ).magnitude()
+        if (
+            np.hypot(np.linalg.norm(positions[k] - positions[last]), TURN_LENGTH_M_PER_RAD * turn)
+            > 1e-6
+        ):
             keep.append(k)
     return positions[keep], wxyz[keep]
 

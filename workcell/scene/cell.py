@@ -61,7 +61,9 @@ def build(scenario: Scenario, folder: Path) -> Cell:
         model=model,
         arms=arm_handles(model, scenario),
         pairs=pairs,
-        sensor_adr=np.array([model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp),
+        sensor_adr=np.array(
+            [model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp
+        ),
         digest=hashlib.sha256((folder / compose.SCENE_FILE).read_bytes()).hexdigest(),
     )
 
@@ -84,4 +86,4 @@ def check_start(cell: Cell) -> None:
                 f"arm.home_rad: start in collision: {names[0]} and {names[1]} are {distance:.4f} m apart; allowed is more than d_min_m = {d_min:g}"
             )
     if faults:
-        raise InputError(faults, file=cell.scenario.name)
+        raise InputError(faults, file=cell.scenario.file)

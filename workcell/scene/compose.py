@@ -45,13 +45,50 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
     root.visual.headlight.ambient = [0.35, 0.35, 0.35]
     root.visual.get_children("global").offwidth = 1600
     root.visual.get_children("global").offheight = 1200
-    root.asset.add("texture", name="sky", type="skybox", builtin="gradient", rgb1=[0.93, 0.95, 0.97], rgb2=[0.62, 0.68, 0.74], width=256, height=256)
-    root.asset.add("texture", name="tiles", type="2d", builtin="checker", rgb1=[0.80, 0.82, 0.84], rgb2=[0.74, 0.76, 0.78], width=256, height=256)
+    root.asset.add(
+        "texture",
+        name="sky",
+        type="skybox",
+        builtin="gradient",
+        rgb1=[0.93, 0.95, 0.97],
+        rgb2=[0.62, 0.68, 0.74],
+        width=256,
+        height=256,
+    )
+    root.asset.add(
+        "texture",
+        name="tiles",
+        type="2d",
+        builtin="checker",
+        rgb1=[0.80, 0.82, 0.84],
+        rgb2=[0.74, 0.76, 0.78],
+        width=256,
+        height=256,
+    )
     root.asset.add("material", name="tiles", texture="tiles", texrepeat=[6, 6], reflectance=0.05)
-    root.worldbody.add("light", name="lamp", pos=[0.5, -1.0, 3.0], dir=[-0.15, 0.3, -1.0], directional=True)
-    root.worldbody.add("light", name="fill", pos=[-1.0, 1.5, 2.5], dir=[0.4, -0.5, -1.0], directional=True, castshadow=False, diffuse=[0.3, 0.3, 0.3])
+    root.worldbody.add(
+        "light", name="lamp", pos=[0.5, -1.0, 3.0], dir=[-0.15, 0.3, -1.0], directional=True
+    )
+    root.worldbody.add(
+        "light",
+        name="fill",
+        pos=[-1.0, 1.5, 2.5],
+        dir=[0.4, -0.5, -1.0],
+        directional=True,
+        castshadow=False,
+        diffuse=[0.3, 0.3, 0.3],
+    )
     x, y, z = _FLOOR_HALF_EXTENTS_M
-    root.worldbody.add("geom", name=FLOOR, type="box", size=[x, y, z], pos=[0, 0, -z], material="tiles", contype=0, conaffinity=0)
+    root.worldbody.add(
+        "geom",
+        name=FLOOR,
+        type="box",
+        size=[x, y, z],
+        pos=[0, 0, -z],
+        material="tiles",
+        contype=0,
+        conaffinity=0,
+    )
     for obstacle in scenario.obstacle:
         root.worldbody.add(
             "geom",
@@ -75,7 +112,7 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
         frame.pos = list(arm.base_position_m)
         frame.quat = list(arm.base_wxyz)
     if faults:
-        raise InputError(faults, file=scenario.name)
+        raise InputError(faults, file=scenario.file)
     return root
 
 
@@ -99,28 +136,44 @@ def _arm_model(arm: Arm) -> mjcf.RootElement:
     path = assets.model_file(arm.model) if arm.model in assets.model_names() else Path(arm.model)
     key = f"arm.{arm.name}"
     if not path.is_file():
-        raise InputError(f"{key}.model = {arm.model!r}: no such arm file; allowed: a path to an MJCF file, or one of {', '.join(assets.model_names())}")
+        raise InputError(
+            f"{key}.model = {arm.model!r}: no such arm file; allowed: a path to an MJCF file, or one of {', '.join(assets.model_names())}"
+        )
     try:
         with _quiet_parser():
             model = mjcf.from_path(str(path))
-    except Exception as error:  # whatever the XML parser, the schema or an include raises, the file is at fault
-        raise InputError(f"{key}.model = {str(path)!r}: is not a readable MJCF file: {error}") from error
+    except (
+        Exception
+    ) as error:  # whatever the XML parser, the schema or an include raises, the file is at fault
+        raise InputError(
+            f"{key}.model = {str(path)!r}: is not a readable MJCF file: {error}"
+        ) from error
     model.model = arm.name
     joints = model.find_all("joint")
     faults = []
     if not joints:
-        faults.append(f"{key}.model = {str(path)!r}: has no joints; an arm needs at least one hinge or slide joint")
+        faults.append(
+            f"{key}.model = {str(path)!r}: has no joints; an arm needs at least one hinge or slide joint"
+        )
     for joint in joints:
         if joint.tag == "freejoint" or (joint.type or "hinge") not in ("hinge", "slide"):
-            faults.append(f"{key}.model = {str(path)!r}: joint {joint.name!r} is of type {joint.tag if joint.tag == 'freejoint' else joint.type}; allowed are hinge and slide")
+            faults.append(
+                f"{key}.model = {str(path)!r}: joint {joint.name!r} is of type {joint.tag if joint.tag == 'freejoint' else joint.type}; allowed are hinge and slide"
+            )
     if joints and len(joints) != len(arm.home_rad):
-        faults.append(f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(joints)} joints ({', '.join(j.name or '?' for j in joints)})")
+        faults.append(
+            f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(joints)} joints ({', '.join(j.name or '?' for j in joints)})"
+        )
     sites = [site.name for site in model.find_all("site")]
     for site_key, site in (("tool_site", arm.tool_site), ("elbow_site", arm.elbow_site)):
         if site is not None and site not in sites:
-            faults.append(f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(s for s in sites if s) or 'it has no sites'}")
+            faults.append(
+                f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(s for s in sites if s) or 'it has no sites'}"
+            )
     if model.find_all("key"):
-        faults.append(f"{key}.model = {str(path)!r}: has a keyframe, which cannot be attached beside other arms; remove it")
+        faults.append(
+            f"{key}.model = {str(path)!r}: has a keyframe, which cannot be attached beside other arms; remove it"
+        )
     if faults:
         raise InputError(faults)
     for body in model.find_all("body"):

@@ -73,7 +73,7 @@ def arm_handles(model: mujoco.MjModel, scenario: Scenario) -> tuple[ArmHandles, 
         except InputError as error:
             faults += error.faults
     if faults:
-        raise InputError(faults, file=scenario.name)
+        raise InputError(faults, file=scenario.file)
     return tuple(arms)
 
 
@@ -125,9 +125,19 @@ def _resolve(model: mujoco.MjModel, arm: Arm) -> ArmHandles:
         home_rad=home,
         lower_rad=lower,
         upper_rad=upper,
-        velocity_limit_rad_s=_limit(model, arm, "joint_velocity_limit_rad_s", arm.velocity_limit_rad_s, DEFAULT_VELOCITY_LIMIT_RAD_S),
+        velocity_limit_rad_s=_limit(
+            model,
+            arm,
+            "joint_velocity_limit_rad_s",
+            arm.velocity_limit_rad_s,
+            DEFAULT_VELOCITY_LIMIT_RAD_S,
+        ),
         acceleration_limit_rad_s2=_limit(
-            model, arm, "joint_acceleration_limit_rad_s2", arm.acceleration_limit_rad_s2, DEFAULT_ACCELERATION_LIMIT_RAD_S2
+            model,
+            arm,
+            "joint_acceleration_limit_rad_s2",
+            arm.acceleration_limit_rad_s2,
+            DEFAULT_ACCELERATION_LIMIT_RAD_S2,
         ),
         tool_site=model.site(prefix + arm.tool_site).id,
         tool_site_name=prefix + arm.tool_site,
@@ -137,7 +147,13 @@ def _resolve(model: mujoco.MjModel, arm: Arm) -> ArmHandles:
     )
 
 
-def _limit(model: mujoco.MjModel, arm: Arm, numeric: str, override: tuple[float, ...] | None, default: float) -> NDArray[np.float64]:
+def _limit(
+    model: mujoco.MjModel,
+    arm: Arm,
+    numeric: str,
+    override: tuple[float, ...] | None,
+    default: float,
+) -> NDArray[np.float64]:
     """A per-joint limit: the scenario's, else the arm file's `<numeric>`, else the default."""
     n = len(arm.home_rad)
     if override is not None:
@@ -148,7 +164,9 @@ def _limit(model: mujoco.MjModel, arm: Arm, numeric: str, override: tuple[float,
     start, size = model.numeric_adr[identifier], model.numeric_size[identifier]
     values = np.array(model.numeric_data[start : start + size])
     if size != n or not (np.isfinite(values).all() and (values > 0).all()):
-        raise InputError(f"arm.{arm.name}.model: numeric {numeric} = {values.tolist()}: {n} positive values are needed, one a joint")
+        raise InputError(
+            f"arm.{arm.name}.model: numeric {numeric} = {values.tolist()}: {n} positive values are needed, one a joint"
+        )
     return values
 
 
@@ -157,13 +175,19 @@ def _servo(model: mujoco.MjModel, joint: int) -> Servo | str:
     acting = [
         a
         for a in range(model.nu)
-        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[a, 0] == joint
+        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.actuator_trnid[a, 0] == joint
     ]
     if len(acting) != 1:
-        return f"is moved by {len(acting)} actuators; exactly one position or velocity servo is needed"
+        return (
+            f"is moved by {len(acting)} actuators; exactly one position or velocity servo is needed"
+        )
     (actuator,) = acting
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
-    if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_gear[actuator, 0] == 1.0:
+    if (
+        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+        and model.actuator_gear[actuator, 0] == 1.0
+    ):
         if gain[0] > 0 and bias[1] == -gain[0]:
             return Servo(actuator, "position", -bias[2] / gain[0])
         if gain[0] > 0 and bias[1] == 0 and bias[2] == -gain[0]:

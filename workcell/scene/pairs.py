@@ -69,12 +69,22 @@ def watched_pairs(model: mujoco.MjModel, arms: tuple[ArmHandles, ...]) -> Watche
     return WatchedPairs(
         geoms=np.array(kept, dtype=np.intp).reshape(-1, 2),
         names=tuple((model.geom(g).name, model.geom(h).name) for g, h in kept),
-        owners=tuple((str(arm_of_geom(model, g, arm_names)), arm_of_geom(model, h, arm_names)) for g, h in kept),
+        owners=tuple(
+            (str(arm_of_geom(model, g, arm_names)), arm_of_geom(model, h, arm_names))
+            for g, h in kept
+        ),
         omitted=tuple(omitted),
     )
 
 
-def _why_not(model: mujoco.MjModel, arms: tuple[str, ...], g: int, h: int, nearest_m: float, farthest_m: float) -> str | None:
+def _why_not(
+    model: mujoco.MjModel,
+    arms: tuple[str, ...],
+    g: int,
+    h: int,
+    nearest_m: float,
+    farthest_m: float,
+) -> str | None:
     if _joints_between(model, g, h) == 0 or farthest_m - nearest_m < _INVARIANT_M:
         return "static: no joint changes their distance"
     if arm_of_geom(model, g, arms) == arm_of_geom(model, h, arms):
@@ -112,7 +122,13 @@ def _sampled_extremes(
     random = np.random.default_rng(0)
     nearest, farthest = np.full(len(candidates), np.inf), np.full(len(candidates), -np.inf)
     arm_names = tuple(arm.name for arm in arms)
-    within = np.array([arm_of_geom(model, g, arm_names) == arm_of_geom(model, h, arm_names) for g, h in candidates], dtype=bool)
+    within = np.array(
+        [
+            arm_of_geom(model, g, arm_names) == arm_of_geom(model, h, arm_names)
+            for g, h in candidates
+        ],
+        dtype=bool,
+    )
     for sample in range(SAMPLES):
         for arm in arms:
             low = np.where(np.isfinite(arm.lower_rad), arm.lower_rad, -np.pi)

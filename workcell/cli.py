@@ -1,0 +1,173 @@
+"""The command line: what people type, and nothing else.
+
+Exit status 0: done, and everything expected held. 1: it ran, but a collision, an unexpected halt or
+an unmet expectation. 2: the input was refused, with a message that names file, key, value and what
+is allowed.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from workcell import assets
+from workcell import scenario as scenario_file
+from workcell.errors import InputError, TraceError
+
+OK, FAILED, REFUSED = 0, 1, 2
+
+ScenarioName = Annotated[
+    str,
+    tyro.conf.Positional,
+    tyro.conf.arg(
+        metavar="SCENARIO", help="a name from `workcell list`, or a path to a .toml file"
+    ),
+]
+RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="a run folder")]
+Overrides = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.arg(
+        name="set",
+        metavar="KEY=VALUE",
+        help="override a dotted key of the scenario file; may be given several times",
+    ),
+]
+
+_out = Console(highlight=False, soft_wrap=True)
+_err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def list_() -> int:
+    """List the shipped scenarios with a line about each."""
+    table = Table("scenario", "what it shows", box=None)
+    for name in assets.scenario_names():
+        table.add_row(name, scenario_file.load(name).description)
+    _out.print(table)
+    return OK
+
+
+def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
+    """Check a scenario without running it: the file, the cell, the start, reach and room to brake."""
+    from workcell import run as runner
+
+    loaded = scenario_file.load(scenario, set)
+    with tempfile.TemporaryDirectory() as folder:
+        cell = runner.prepare(loaded, Path(folder))
+    _out.print(
+        f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, {loaded.ticks} ticks: can be run"
+    )
+    return OK
+
+
+def run(
+    scenario: ScenarioName,
+    /,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="run folder; default runs/<scenario>")
+    ] = None,
+    set: Overrides = (),
+) -> int:
+    """Run a scenario headlessly into a run folder and judge it by its expectations."""
+    from workcell import run as runner
+
+    loaded = scenario_file.load(scenario, set)
+    folder = out or Path("runs") / loaded.name
+    with _progress(f"running {loaded.name}") as progress:
+        summary = runner.run(loaded, folder, progress=progress)
+    _report(summary, folder)
+    return OK if summary["held"] else FAILED
+
+
+def replay(
+    run: RunFolder,
+    /,
+    web: Annotated[bool, tyro.conf.arg(help="in a browser instead of the native viewer")] = False,
+) -> int:
+    """Open a run in the rerun viewer; its recording is rebuilt from the trace where it is missing or outdated."""
+    from workcell.run import rebuild_recording
+    from workcell.trace import view
+
+    recording = rebuild_recording(run)
+    return view.open_viewer(recording, web=web)
+
+
+def plot(run: RunFolder, /) -> int:
+    """Draw the paper's figures 3, 4 and 5 from a run into its folder `figures`."""
+    from workcell.run import SCENE_FOLDER
+    from workcell.trace import figures
+    from workcell.trace.table import load
+
+    for path in figures.paper_figures(load(run), run / SCENE_FOLDER / "scene.xml", run / "figures"):
+        _out.print(str(path))
+    return OK
+
+
+def _report(summary: dict, folder: Path) -> None:
+    table = Table("expectation", "wanted", "measured", "held", box=None)
+    for name, verdict in summary["expectations"].items():
+        table.add_row(
+            name,
+            verdict["wanted"],
+            verdict["measured"],
+            "yes" if verdict["held"] else "[red]NO[/red]",
+        )
+    if summary["expectations"]:
+        _out.print(table)
+    if summary["metrics"]["fault"]:
+        _err.print(f"stopped: {summary['metrics']['fault']}", markup=False)
+    _out.print(
+        f"{summary['scenario']}: {'all expectations held' if summary['held'] else 'NOT as expected'}; {folder}"
+    )
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A progress bar on a terminal, nothing elsewhere."""
+    if not _err.is_terminal:
+        yield None
+        return
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeRemainingColumn(),
+        console=_err,
+    ) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+COMMANDS: dict[str, Callable[..., int]] = {
+    "list": list_,
+    "check": check,
+    "run": run,
+    "replay": replay,
+    "plot": plot,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the `workcell` command; returns the exit status."""
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            COMMANDS, prog="workcell", args=arguments, description=__doc__
+        )
+    except (InputError, TraceError) as error:
+        _err.print(str(error), markup=False)
+        return REFUSED
+    except KeyboardInterrupt:
+        _err.print("interrupted")
+        return FAILED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
