@@ -19,6 +19,13 @@ from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
 
+GRAZING_TOLERANCE = 1e-12
+"""Relative size of a negative discriminant that still counts as a double root.
+
+Two motions that just touch have discriminant zero, which rounding turns into some 1e-16 of either
+sign. Chosen far above that, so that touching counts as a collision.
+"""
+
 
 @dataclass(frozen=True)
 class SmallestTtc:
@@ -98,14 +105,13 @@ def reciprocal_second_order(
     speed = rate / size
     discriminant = speed**2 - 2.0 * np.sign(accel) * (curvature / size) ** 2
     root = np.sqrt(np.maximum(discriminant, 0.0))
-    # d and the two positive sums below never vanish together with a real, positive root.
     with np.errstate(over="ignore"):
         closing_root = size * (root - speed) / (2.0 * reach)
         opening_root = np.divide(
             -accel, size * (root + speed), out=np.zeros(gap.shape), where=moving & (speed > 0.0)
         )
     kappa = np.where(speed > 0.0, opening_root, closing_root)
-    kappa = np.where(moving & (discriminant >= 0.0), np.maximum(kappa, 0.0), 0.0)
+    kappa = np.where(moving & (discriminant >= -GRAZING_TOLERANCE), np.maximum(kappa, 0.0), 0.0)
     return _with_contact(
         kappa, distance, gap, closing=(rate < 0.0) | ((rate == 0.0) & (accel < 0.0))
     )
@@ -114,7 +120,8 @@ def reciprocal_second_order(
 def time_from_reciprocal(kappa_per_s: ArrayLike) -> Array:
     """Time to collision (s) for people: 1/kappa, infinite where kappa is 0, 0 where infinite."""
     kappa = np.asarray(kappa_per_s, dtype=float)
-    return np.divide(1.0, kappa, out=np.full(kappa.shape, np.inf), where=kappa != 0.0)
+    with np.errstate(over="ignore"):  # A time beyond the range of floats is infinite.
+        return np.divide(1.0, kappa, out=np.full(kappa.shape, np.inf), where=kappa != 0.0)
 
 
 def smallest(kappa_per_s: ArrayLike) -> SmallestTtc:
@@ -131,10 +138,11 @@ def smallest(kappa_per_s: ArrayLike) -> SmallestTtc:
     if wrong.any():
         pair = int(np.argmax(wrong))
         raise WorkcellError(f"kappa_per_s[{pair}] is {kappa[pair]}; must be a number >= 0")
-    if kappa.size == 0 or not kappa.any():
+    if kappa.size == 0:
         return SmallestTtc(ttc_s=np.inf, pair=-1)
     pair = int(np.argmax(kappa))
-    return SmallestTtc(ttc_s=float(1.0 / kappa[pair]), pair=pair)
+    ttc_s = float(time_from_reciprocal(kappa[pair]))
+    return SmallestTtc(ttc_s=ttc_s, pair=pair if ttc_s < np.inf else -1)
 
 
 def _checked_standoff(standoff_m: float) -> float:

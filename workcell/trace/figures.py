@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from workcell.errors import TraceError
 from workcell.trace.metrics import (
-    SCALED_BELOW,
+    Span,
     control_setting,
     period_s,
+    scaled_down,
     smallest_distance_m,
     spans,
     support_arm,
@@ -46,9 +47,11 @@ TTC_CAP_IN_T_MIN = 5.0
 """Axes of time to collision end at this multiple of t_min, beyond which nothing acts."""
 ENCOUNTER_GAP_S = 0.5
 """Scaling that pauses for less is one encounter: chosen to bridge a change of witness points."""
+ENCOUNTER_LEAST_S = 0.1
+"""Scaling for less is a passing change of witness points, too short for an onlooker to see."""
 
 _log = logging.getLogger(__name__)
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 11,
     "axes.titlesize": 12,
     "axes.spines.top": False,
@@ -104,35 +107,44 @@ def paper_figures(trace: Trace, scene_xml: Path | str, out_dir: Path | str) -> l
 def time_stamps(trace: Trace) -> tuple[int, int, int, int]:
     """The four instants that tell the story of a run, as ticks of the trace, in order.
 
-    Scaling of the support arm falls into encounters. With two or more: onset of the first, the
-    smallest distance before the next, onset of the last, and the halt or else its smallest
-    distance. With one:
-    onset, two between, and its end. Without any: four evenly spread.
+    Scaling of the support arm up to the first halt falls into encounters. With two or more: onset
+    of the first, the smallest distance around it, onset of the last, and the halt or else the
+    smallest distance of the last. With one: onset, two between, and its end. Without any: four
+    evenly spread.
     """
     count = len(trace)
-    scaled = trace[f"{support_arm(trace)}.scale"] < SCALED_BELOW
-    gap = ENCOUNTER_GAP_S / period_s(trace) if count > 1 else 0.0
-    encounters: list[tuple[int, int]] = []
-    for span in spans(scaled):
-        if encounters and span.start - encounters[-1][1] < gap:
-            encounters[-1] = (encounters[-1][0], span.stop)
-        else:
-            encounters.append((span.start, span.stop))
     even = np.linspace(0, count - 1, 6)[1:5].astype(int)
+    halts = np.flatnonzero(trace["mode"] == "halt")
+    halt = int(halts[0]) if halts.size else None
+    encounters = _encounters(trace, count if halt is None else halt)
     if not encounters:
         return _four(even)
+    distance_m = smallest_distance_m(trace)
 
     def closest(start: int, stop: int) -> int:
-        return start + int(np.argmin(smallest_distance_m(trace)[start:stop]))
+        return start + int(np.argmin(distance_m[start:stop]))
 
     first, last = encounters[0], encounters[-1]
-    halts = np.flatnonzero(trace["mode"] == "halt")
-    end = int(halts[0]) if halts.size and halts[0] > last[0] else closest(*last)
+    end = closest(last.start, last.stop) if halt is None else halt
     if len(encounters) > 1:
-        story = np.array([first[0], closest(first[0], encounters[1][0]), last[0], end])
+        # The closest moment may follow just after the speed is free again.
+        margin = round(ENCOUNTER_GAP_S / period_s(trace))
+        around = closest(first.start, min(first.stop + margin, encounters[1].start))
+        story = np.array([first.start, around, last.start, end])
     else:
-        story = np.linspace(first[0], end, 4).astype(int)
+        story = np.linspace(first.start, end, 4).astype(int)
     return _four(story if np.all(np.diff(story) > 0) else even)
+
+
+def _encounters(trace: Trace, stop: int) -> list[Span]:
+    """Times of scaling of the support arm before a tick, short pauses bridged, blips left out."""
+    dt_s = period_s(trace)
+    found: list[Span] = []
+    for span in spans(scaled_down(trace, support_arm(trace))[:stop]):
+        if found and (span.start - found[-1].stop) * dt_s < ENCOUNTER_GAP_S:
+            span = Span(found.pop().start, span.stop)
+        found.append(span)
+    return [span for span in found if len(span) * dt_s >= ENCOUNTER_LEAST_S]
 
 
 def _four(ticks: NDArray[np.int64]) -> tuple[int, int, int, int]:
@@ -209,12 +221,13 @@ def _draw_ttc(axes: Axes, trace: Trace) -> None:
     def capped(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return values if cap_s is None else np.minimum(values, cap_s)
 
-    axes.plot(
-        time_s, capped(commanded), color=unit_rgb(COMMANDED), lw=1.0, ls="--", label="commanded"
-    )
-    axes.plot(time_s, capped(measured), color=unit_rgb(MEASURED), label="measured")
+    axes.plot(time_s, capped(measured), color=unit_rgb(MEASURED), lw=2.2, label="measured")
+    dashed = {"color": unit_rgb(COMMANDED), "lw": 1.2, "ls": (0, (4, 3))}
+    axes.plot(time_s, capped(commanded), label="commanded", **dashed)
     if t_min_s is not None:
-        axes.axhline(t_min_s, color=unit_rgb(LIMIT), lw=1.2, label=f"$t_{{min}}$ = {t_min_s:g} s")
+        axes.axhline(
+            t_min_s, color=unit_rgb(LIMIT), lw=1.0, zorder=1, label=f"$t_{{min}}$ = {t_min_s:g} s"
+        )
         axes.set_ylim(0, cap_s)
     axes.set_ylabel("time to collision [s]")
     _legend(axes)
@@ -276,9 +289,9 @@ def _legend(axes: Axes, entries: dict[str, Any] | None = None) -> None:
 def _mark(trace: Trace, stamps: tuple[int, ...], *panels: Axes) -> None:
     """Shades where the support arm is scaled and draws the four instants, numbered on top."""
     time_s, dt_s = trace["time_s"], period_s(trace)
-    scaled = trace[f"{support_arm(trace)}.scale"] < SCALED_BELOW
+    scaled = spans(scaled_down(trace, support_arm(trace)))
     for axes in panels:
-        for span in spans(scaled):
+        for span in scaled:
             start_s = float(time_s[span.start])
             stop_s = start_s + len(span) * dt_s
             axes.axvspan(start_s, stop_s, color=_SCALING_SHADE, zorder=0, lw=0)

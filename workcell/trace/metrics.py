@@ -27,6 +27,11 @@ REVERSAL_FRACTION = 0.02
 """Part of its peak by which a speed must turn back to count as a reversal: chosen to pass over
 the last digits of a solver and to catch chatter that an onlooker would see."""
 
+TTC_REASON = "ttc"
+"""What an arm's `reason` says where the time to collision bounds its speed."""
+STOPPED_MODES = ("halt", "stop")
+"""Modes in which nothing moves by decision, not by scaling."""
+
 FLAT_TOLERANCES = (0.02, 0.05)
 """How near t_min a scaled time to collision counts as held; the metric names carry the percent."""
 
@@ -149,14 +154,22 @@ def decay_time_s(time_s: Floats, value: Floats) -> float | None:
     return -1.0 / slope if slope < 0 else None
 
 
+def scaled_down(trace: Trace, arm: str) -> NDArray[np.bool_]:
+    """Ticks at which the arm is slowed down while nothing has stopped it, (T,)."""
+    stopped = np.isin(trace[f"{arm}.mode"].astype(str), STOPPED_MODES)
+    return (trace[f"{arm}.scale"] < SCALED_BELOW) & ~stopped
+
+
 def longest_scaling(trace: Trace, arm: str) -> Span | None:
-    """The longest run of ticks in which the same pair scales the arm down."""
-    scaled = trace[f"{arm}.scale"] < SCALED_BELOW
+    """The longest run of ticks in which the time to collision of one pair bounds the speed."""
+    bound = scaled_down(trace, arm) & (trace[f"{arm}.reason"] == TTC_REASON)
+    # An arm brought to a stand has no closing left that could decay.
+    bound &= trace[f"{arm}.scale"] > 0
     pair = trace[f"{arm}.limiting_pair"]
     found = [
         span
-        for index in np.unique(pair[scaled & (pair >= 0)])
-        for span in spans(scaled & (pair == index))
+        for index in np.unique(pair[bound & (pair >= 0)])
+        for span in spans(bound & (pair == index))
     ]
     return max(found, key=len, default=None)
 
@@ -203,8 +216,11 @@ def _times_to_collision(trace: Trace) -> dict[str, Metric]:
         result["smallest_ttc_command_s"] = float(commanded[tick])
         result["smallest_ttc_command_time_s"] = float(trace["time_s"][tick])
         result["smallest_ttc_command_reason"] = ", ".join(sorted(reasons))
-    scaling = trace["mode"] == "scale"
-    result["scaling_ticks"] = int(scaling.sum())
+    result["scaling_ticks"] = int(np.sum(trace["mode"] == "scale"))
+    # Where the factor still rises back, the estimate is rightly longer: only bound ticks count.
+    scaling = np.zeros(len(trace), dtype=bool)
+    for arm in trace.layout.arms:
+        scaling |= scaled_down(trace, arm) & (trace[f"{arm}.reason"] == TTC_REASON)
     for tolerance in FLAT_TOLERANCES:
         name = f"ttc_held_within_{round(100 * tolerance)}_percent"
         held = None

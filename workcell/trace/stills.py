@@ -94,12 +94,16 @@ def _main(job: str, result: str) -> None:
     camera.distance = 1.45 * max(float(np.ptp(corners, axis=0).max()), 0.3)
     camera.azimuth, camera.elevation = 105.0, -28.0
 
+    option = mujoco.MjvOption()
+    # The sensors that measure the watched pairs would be drawn as a web of rays.
+    option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+
     pictures = []
     with mujoco.Renderer(model, height, width) as renderer:
         for q in poses:
             data.qpos[:] = q
             mujoco.mj_forward(model, data)
-            renderer.update_scene(data, camera)
+            renderer.update_scene(data, camera, option)
             pictures.append(renderer.render().copy())
     np.save(result, np.array(pictures))
 

@@ -12,9 +12,10 @@ import os
 import subprocess
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -96,7 +97,7 @@ def record(trace: Trace, scene_xml: Path | str, out_rrd: Path | str) -> Path:
         frames = _Frames(trace, model)
         recording.send_blueprint(_layout(trace, frames))
         recording.send_recording_name(str(trace.metadata.get("name", out_rrd.parent.name)))
-        recording.send_property("workcell", rr.AnyValues(**_origin(trace)))
+        recording.send_property("workcell", rr.AnyValues(drop_untyped_nones=True, **_origin(trace)))
         _log_geometry(recording, trace, model, frames)
         _log_curves(recording, trace)
         _log_modes(recording, trace)
@@ -261,7 +262,7 @@ def _send(
     trace: Trace,
     entity: str,
     rows: NDArray[np.int64],
-    part: Callable[[slice], object],
+    part: Callable[[slice], Iterable[rr.ComponentColumn]],
 ) -> None:
     """Sends an entity's columns; `part` makes those of a slice of the rows."""
     for start in range(0, len(rows), _CHUNK_ROWS):
@@ -329,9 +330,19 @@ def _is_drawn(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _geom_rgba(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
-    material = model.geom_matid[geom]
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-    return np.round(255 * np.asarray(rgba)).astype(np.uint8)
+    """Colour of a geom; a pattern becomes its mean, for meshes here carry no texture."""
+    material = int(model.geom_matid[geom])
+    if material < 0:
+        return np.round(255 * model.geom_rgba[geom]).astype(np.uint8)
+    rgba = model.mat_rgba[material].astype(float)
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture >= 0:
+        channels = int(model.tex_nchannel[texture])
+        size = int(model.tex_height[texture] * model.tex_width[texture]) * channels
+        first = int(model.tex_adr[texture])
+        pixels = model.tex_data[first : first + size].reshape(-1, channels)
+        rgba[:3] *= pixels[:, :3].mean(axis=0) / 255
+    return np.round(255 * rgba).astype(np.uint8)
 
 
 def _log_capsules(
@@ -413,7 +424,7 @@ def _log_curves(recording: rr.RecordingStream, trace: Trace) -> None:
         entity: str,
         series: dict[str, NDArray[np.float64]],
         colours: list[Rgb],
-        aggregation: str,
+        aggregation: Literal["Min", "Max"],
     ) -> None:
         if not series:
             return
@@ -451,12 +462,13 @@ def _log_curves(recording: rr.RecordingStream, trace: Trace) -> None:
         distance["d_min"] = level(d_min_m)
         distance_colours.append(LIMIT)
     curves("distance", distance, [_on_dark(c) for c in distance_colours], "Min")
-    for entity, column, aggregation in (
-        ("artc", "artc_per_s", "Max"),
-        ("tool_speed", "tool_speed_m_s", "Max"),
-        ("scale", "scale", "Min"),
-    ):
-        curves(entity, {arm: trace[f"{arm}.{column}"] for arm in arms}, colours, aggregation)
+
+    def per_arm(column: str) -> dict[str, NDArray[np.float64]]:
+        return {arm: trace[f"{arm}.{column}"] for arm in arms}
+
+    curves("artc", per_arm("artc_per_s"), colours, "Max")
+    curves("tool_speed", per_arm("tool_speed_m_s"), colours, "Max")
+    curves("scale", per_arm("scale"), colours, "Min")
 
 
 def _capped(ttc_s: NDArray[np.float64], cap_s: float) -> NDArray[np.float64]:
