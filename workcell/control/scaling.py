@@ -216,7 +216,8 @@ class FactorGovernor:
         Args:
             ttc_factor: `ScaleBound.factor`, in [0, 1].
             interval: What the joints can reach; None leaves them out.
-            leaving: No near pair closes: the factor may rise at once, as leaving must not be slowed.
+            leaving: No near pair closes: the factor may rise at once, as leaving must not be
+                slowed.
 
         Raises:
             WorkcellError: The factor is not in [0, 1].
