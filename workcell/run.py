@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -23,11 +23,16 @@ import numpy as np
 
 from workcell.control import feasible
 from workcell.control.controller import Controller
-from workcell.errors import ControlFault
+from workcell.errors import ControlFault, InputError
 from workcell.expect import judge
+from workcell.guard.monitor import FinalCheck
+from workcell.guard.settings import CheckSettings, Exemption
+from workcell.guard.supervisor import LatchedCheck
 from workcell.scenario import Meet, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
+from workcell.scene.compose import SCENE_FILE
+from workcell.scene.handles import HOUSING_GROUP
 from workcell.signals import Layout
 from workcell.trace import metrics
 from workcell.trace.table import Trace, TraceWriter, load
@@ -36,6 +41,9 @@ SCENARIO_FILE = "scenario.toml"
 SUMMARY_FILE = "summary.json"
 RECORDING_FILE = "recording.rrd"
 SCENE_FOLDER = "scene"
+
+MEETING_S = 60.0
+"""How long two tools may be exempt from the final check if a job forgets to part them; chosen longer than any exchange."""
 
 PACKAGES = (
     "workcell",
@@ -59,8 +67,10 @@ class Ending:
     """Ticks done."""
     fault: str | None
     """What stopped it before its time, None if it ran to its end."""
-    interrupted: bool = False
+    interrupted: bool
     """Whether a person stopped it."""
+    check: dict | None
+    """What the final check has to say of itself and of a halt; None if it was off."""
 
 
 def run(
@@ -98,15 +108,14 @@ def simulate(
 ) -> Ending:
     """Step the plant with the controller in its callback; every tick becomes a row of the trace."""
     scenario = cell.scenario
-    controller = Controller(cell)
     data = mujoco.MjData(cell.model)
     cell.place_home(data)
     step = _step_kinematic if scenario.simulation.plant == "kinematic" else _step_dynamic
     fault, interrupted = None, False
-    with (
-        TraceWriter(out, layout(cell), metadata(cell), scenario.simulation.period_s) as trace,
-        installed(controller, cell.model, data),
-    ):
+    with final_check(cell, out) as check, ExitStack() as stack:
+        controller = Controller(cell, check=check)
+        trace = stack.enter_context(TraceWriter(out, layout(cell), metadata(cell), cell.period_s))
+        stack.enter_context(installed(controller, cell.model, data))
         try:
             for tick in range(scenario.ticks):
                 step(cell, controller, data)
@@ -119,7 +128,58 @@ def simulate(
             interrupted = True
     if progress:
         progress(scenario.ticks, scenario.ticks)
-    return Ending(ticks=controller.tick, fault=fault, interrupted=interrupted)
+    return Ending(controller.tick, fault, interrupted, None if check is None else check.account())
+
+
+@contextmanager
+def final_check(cell: Cell, out: Path) -> Iterator[LatchedCheck | None]:
+    """Start the final check in its own process, unless the scenario switches it off.
+
+    Raises:
+        InputError: an arm has no geometry the check could judge.
+    """
+    settings = cell.scenario.check
+    if not settings.enabled:
+        yield None
+        return
+    with FinalCheck(out / SCENE_FOLDER / SCENE_FILE, check_settings(cell)) as check:
+        verdict = check.start()
+        if check.missing:
+            raise InputError(
+                f"check.enabled = true: the final check has no geometry for {', '.join(check.missing)}; "
+                f"give them convex geoms of group {HOUSING_GROUP}, or set check.enabled = false",
+                file=cell.scenario.file,
+            )
+        if verdict.must_stop:
+            raise InputError(f"check: {verdict.reason}", file=cell.scenario.file)
+        yield LatchedCheck(check, period_s=cell.period_s)
+
+
+def check_settings(cell: Cell) -> CheckSettings:
+    """What the checker is told: the scenario's `[check]`, and the tools that jobs bring together."""
+    scenario = cell.scenario
+    d_min = scenario.control.d_min_m if scenario.check.d_min_m is None else scenario.check.d_min_m
+    tools = {
+        arm.name: cell.model.body(cell.model.site_bodyid[arm.tool_site]).name for arm in cell.arms
+    }
+    return CheckSettings(
+        arms=tuple(tools),
+        d_min_m=d_min,
+        period_s=cell.period_s,
+        every_ticks=scenario.check.every_ticks,
+        exemptions=tuple(
+            Exemption(
+                name=f"{arm.name}_{job.arm}",
+                geoms_i=(tools[arm.name],),
+                geoms_j=(tools[job.arm],),
+                expiry_s=MEETING_S,
+                max_closing_m_s=job.speed_m_s,
+                d_min_m=d_min / 2,
+            )
+            for arm in scenario.arm
+            for job in {j.arm: j for j in arm.job if isinstance(j, Meet)}.values()
+        ),
+    )
 
 
 def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
@@ -133,7 +193,7 @@ def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
     (out / SUMMARY_FILE).write_text(
         json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
     )
-    view.record(trace, out / SCENE_FOLDER / "scene.xml", out / RECORDING_FILE)
+    view.record(trace, out / SCENE_FOLDER / SCENE_FILE, out / RECORDING_FILE)
     return summary
 
 
@@ -143,7 +203,7 @@ def rebuild_recording(out: Path) -> Path:
 
     recording, trace = out / RECORDING_FILE, load(out)
     if not recording.is_file() or not view.is_current(recording, trace):
-        view.record(trace, out / SCENE_FOLDER / "scene.xml", recording)
+        view.record(trace, out / SCENE_FOLDER / SCENE_FILE, recording)
     return recording
 
 
@@ -162,6 +222,7 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         "held": held,
         "expectations": verdicts,
         "metrics": values,
+        "final_check": ending.check or {"state": "off"},
         "watched_pairs": len(cell.pairs),
         "omitted_pairs": [list(pair) for pair in cell.pairs.omitted],
         "versions": versions(),

@@ -217,6 +217,21 @@ def _unique(items: tuple[Any, ...], what: str) -> None:
         raise ValueError(f"{what} names must be unique, {', '.join(doubled)} occurs more than once")
 
 
+class Check(_Table):
+    """The final check in its own process; docs/final_check.md says what is lost without it."""
+
+    enabled: bool = True
+    d_min_m: Positive | None = None
+    every_ticks: Annotated[int, Field(ge=1)] = 5
+    stops_priority_arms: bool = False
+
+
+class Sabotage(_Table):
+    """Faults put into the controller on purpose, so that tests can see the final check stop it."""
+
+    factor_multiplier: Positive = 1.0
+
+
 class Scenario(_Table):
     """A whole scenario file, resolved: every default is filled in."""
 
@@ -224,6 +239,8 @@ class Scenario(_Table):
     description: str = ""
     simulation: Simulation = Simulation()
     control: Control = Control()
+    check: Check = Check()
+    sabotage: Sabotage = Sabotage()
     arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
     obstacle: tuple[Obstacle, ...] = ()
     expect: dict[str, Annotated[Bound, BeforeValidator(_as_bound)]] = {}

@@ -33,6 +33,8 @@ from workcell.control.scaling import (
 )
 from workcell.control.servo import ServoCommand
 from workcell.errors import ControlFault
+from workcell.guard.halt import brake
+from workcell.guard.supervisor import Supervisor
 from workcell.motion.jobs import JobSequence, Surroundings
 from workcell.motion.operator import make_operator
 from workcell.motion.path import Target, standing
@@ -145,16 +147,24 @@ class _Arm:
         self.task_rad_s = np.zeros(len(handles.dofs))
         self.factor = 1.0
 
+    @property
+    def window(self) -> str | None:
+        """Name of the final check's exemption that the present job holds open."""
+        partner = None if self.jobs is None else self.jobs.meeting
+        return None if partner is None else f"{self.handles.name}_{partner}"
+
 
 class Controller:
     """Controls all arms of a cell.
 
     Args:
         cell: The compiled cell; the controller makes its own data and never touches the plant's.
+        check: The final check, asked once a tick; None runs without it.
     """
 
-    def __init__(self, cell: Cell):
+    def __init__(self, cell: Cell, *, check: Supervisor | None = None):
         self.cell = cell
+        self._check = check
         self.tick = 0
         self._dt = cell.period_s
         self._settings = cell.scenario.control
@@ -195,6 +205,7 @@ class Controller:
             ControlFault: a state, target or solution is not finite.
         """
         record, proximity = self._measure(np.array(qpos), np.array(qvel))
+        self._ask(record)
         self._follow(record, proximity)
         self._plan()
         for arm in self._support:
@@ -276,6 +287,35 @@ class Controller:
             armd_per_m=criteria.armd(distance),
         )
 
+    def _ask(self, record: TickRecord) -> None:
+        """Ask the final check whether the support arms may go on."""
+        if self._check is None:
+            return
+        windows = [arm.window for arm in self._support if arm.window is not None]
+        verdict = self._check.ask(record.tick, record.qpos, windows)
+        record.check_state, record.check_distance_m = str(verdict.state), verdict.distance_m
+        if self._check.halted:
+            for arm in self._arms:
+                if self._stops(arm):
+                    row = record.arms[arm.handles.name]
+                    self._check.observe(
+                        record.tick, arm.handles.name, row.tool_speed_m_s, record.qvel[arm.dofs]
+                    )
+
+    def _stops(self, arm: _Arm) -> bool:
+        """Whether the final check has stopped this arm."""
+        if self._check is None or not self._check.halted:
+            return False
+        return arm.support or self.cell.scenario.check.stops_priority_arms
+
+    def _brake(self, arm: _Arm, row: ArmRecord) -> None:
+        """The way to rest after the final check's halt: along the last motion, as hard as the joints can."""
+        arm.factor = 0.0
+        arm.wanted_rad_s = arm.command_rad_s = brake(
+            arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
+        )
+        row.scale, row.reason, row.mode, row.ik_status = 0.0, "check", "halt", "not_solved"
+
     def _follow(self, record: TickRecord, proximity: Proximity) -> None:
         """Advance every driver and hand its target to the inverse kinematics."""
         tools = {name: arm.tool_position_m for name, arm in record.arms.items()}
@@ -317,6 +357,9 @@ class Controller:
     def _steer(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
         row = record.arms[arm.handles.name]
+        if self._stops(arm):
+            self._brake(arm, row)
+            return
         other = (
             self._rate_of_others(arm, proximity)
             if self._settings.variant == "relative"
@@ -334,9 +377,9 @@ class Controller:
         choice = arm.governor.choose(
             bound.factor, interval, leaving=bound.required >= LEAVING_FACTOR
         )
-        arm.factor = choice.factor
-        arm.command_rad_s = choice.factor * arm.wanted_rad_s
-        row.scale = choice.factor
+        arm.factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
+        arm.command_rad_s = arm.factor * arm.wanted_rad_s
+        row.scale = arm.factor
         row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
         row.reason = "" if choice.limiter == "none" else choice.limiter
         if bound.shortfall_m_s > 0.0:
@@ -373,6 +416,10 @@ class Controller:
     def _give_way(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
         """A priority arm: what its operator asks, plus self-motion that endangers nothing."""
         row = record.arms[arm.handles.name]
+        if self._stops(arm):
+            arm.command_rad_s = arm.wanted_rad_s
+            self._brake(arm, row)
+            return
         solution = self._solve(arm, record, proximity, self._rate_of_others(arm, proximity))
         row.ik_status = solution.status
         arm.wanted_rad_s = arm.command_rad_s = solution.velocity_rad_s

@@ -1,0 +1,97 @@
+"""The final check as the controller sees it: ask once a tick, stay halted once told to stop.
+
+Joins the checker process, the latch and the windows in which jobs let two tools meet. The
+controller hands over joint positions and learns only whether its support arms may go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.guard.halt import HaltLatch, HaltReport
+from workcell.guard.monitor import FinalCheck
+from workcell.guard.verdict import Verdict
+
+
+class Supervisor(Protocol):
+    """What the controller needs of a final check; replays and tests bring their own."""
+
+    def ask(self, tick: int, qpos: NDArray[np.float64], windows: Collection[str]) -> Verdict:
+        """The verdict for this tick; `windows` are the exemptions that jobs hold open now."""
+        ...
+
+    @property
+    def halted(self) -> bool:
+        """Whether the support arms have been told to stop."""
+        ...
+
+    def observe(
+        self, tick: int, arm: str, tool_speed_m_s: float, qvel_rad_s: NDArray[np.float64]
+    ) -> None:
+        """Take note of how an arm comes to rest."""
+        ...
+
+
+class LatchedCheck:
+    """A running `FinalCheck` with a latch that only `reset` releases.
+
+    Args:
+        check: A started check.
+        period_s: Control period.
+        live: Whether time goes on while the checker works. If not, the run waits for its answer,
+            so that traces are reproducible.
+    """
+
+    def __init__(self, check: FinalCheck, *, period_s: float, live: bool = False):
+        self._check = check
+        self._latch = HaltLatch(period_s)
+        self._live = live
+        self._open: set[str] = set()
+
+    @property
+    def halted(self) -> bool:
+        """Whether a verdict has called for a stop since the last reset."""
+        return self._latch.latched
+
+    def reset(self) -> None:
+        """Let the support arms go on; the next verdict may stop them again."""
+        self._latch.reset()
+
+    def report(self) -> HaltReport | None:
+        """How the stop went; None if there was none."""
+        return self._latch.report()
+
+    def account(self) -> dict[str, Any]:
+        """What goes into the summary: size, latencies of this machine, and the halt if there was one."""
+        halt = self.report()
+        return {
+            "pieces": len(self._check.pieces),
+            "pairs": self._check.pair_count,
+            "latency": asdict(self._check.latency),
+            "halt": None if halt is None else asdict(halt),
+        }
+
+    def ask(self, tick: int, qpos: NDArray[np.float64], windows: Collection[str]) -> Verdict:
+        """See `Supervisor`."""
+        for name in sorted(set(windows) - self._open):
+            self._check.open_exemption(name, tick)
+        for name in sorted(self._open - set(windows)):
+            self._check.close_exemption(name)
+        self._open = set(windows)
+        if self._live:
+            verdict = self._check.post(tick, qpos) or self._check.poll(tick)
+        else:
+            verdict = self._check.check(tick, qpos)
+        self._latch.trip(verdict, tick)
+        return verdict
+
+    def observe(
+        self, tick: int, arm: str, tool_speed_m_s: float, qvel_rad_s: NDArray[np.float64]
+    ) -> None:
+        """See `Supervisor`."""
+        self._latch.observe(tick, arm, tool_speed_m_s, qvel_rad_s)
