@@ -89,7 +89,6 @@ def run(tmp_path_factory) -> Run:
         "scenario": "0" * 64,
         "settings": json.dumps({"control": control, "arm": arm_settings}),
         "meeting_pairs": json.dumps([["nurse/link3_capsule", "surgeon/link2_capsule"]]),
-        "name": "synthetic",
     }
     fromto = np.zeros(6)
 

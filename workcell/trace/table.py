@@ -3,8 +3,8 @@
 In comes a row a tick; out come `trace.parquet` and, while the run lasts, the journal
 `trace.arrows` (an Arrow stream of small batches, each handed to the operating system at once, so
 that a kill costs at most the batch being filled). Columns and their types follow from
-`workcell.signals`. What is read back is verified: every journal batch carries a CRC-32, the
-parquet file checksums of its pages and a hash of rows and metadata.
+`workcell.signals`. What is read back is verified: the journal by itself, the parquet file by
+checksums of its pages and a hash of rows and metadata.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import json
 import os
 import time
 import warnings
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,11 +28,12 @@ import pyarrow.parquet as pq
 
 from workcell.errors import TraceError
 from workcell.signals import SCHEMA_VERSION, Column, Layout, columns
+from workcell.trace.digest import TableDigest
+from workcell.trace.journal import JournalReader, JournalWriter
 
 TRACE_NAME = "trace.parquet"
 JOURNAL_NAME = "trace.arrows"
 
-_CRC_KEY = b"workcell_crc32"
 _INTEGRITY_KEY = b"integrity_sha256"
 _LAYOUT_KEYS = ("schema_version", "arms", "joints", "nq", "nv", "pairs")
 
@@ -42,12 +42,6 @@ _ROW_GROUP_ROWS = 8192
 the length of the run, while columns stay long enough to compress."""
 
 _LIST = pa.list_(pa.field("element", pa.float64(), nullable=False))
-
-_END_OF_STREAM = b"\xff\xff\xff\xff\0\0\0\0"
-"""What ends an Arrow stream that was closed; one that was cut off lacks it."""
-
-_SINK_BYTES = 1 << 20
-"""Larger than a batch of two arms (0.5 MB), so that a batch is a single write."""
 
 _Row = Mapping[str, object] | Any
 _Values = tuple[tuple[Any, ...], tuple[Any, ...]]
@@ -101,17 +95,12 @@ class TraceWriter:
 
         Path(folder).mkdir(parents=True, exist_ok=True)
         self.path.unlink(missing_ok=True)
-        try:
-            self._sink = self.journal.open("wb", buffering=_SINK_BYTES)
-            self._stream = pa.ipc.new_stream(self._sink, self._schema)
-        except OSError as error:
-            raise TraceError(f"{self.journal}: cannot be written: {error}") from error
-        self._schema_crc = zlib.crc32(self._schema.serialize())
+        self._rows_out = JournalWriter(self.journal, self._schema)
         self._flushed_at_s = time.monotonic() if flush_wall_s is not None else 0.0
         self._closed = False
         # A batch without rows puts the schema into the journal, and has Arrow load what it needs
         # for its first conversion (90 ms) before there is a clock to keep.
-        self._write(self._batch())
+        self._rows_out.write(self._batch())
 
     def append(self, row: _Row) -> None:
         """Adds one row.
@@ -157,9 +146,12 @@ class TraceWriter:
         """Hands the rows so far to the operating system; they outlive this process from then on."""
         if not self._scalars:
             return
-        self._write(self._batch())
-        self._scalars.clear()
-        self._null[:] = False
+        try:
+            self._rows_out.write(self._batch())
+        finally:
+            # Rows that cannot be stored are reported once; closing keeps those before them.
+            self._scalars.clear()
+            self._null[:] = False
         if self._flush_wall_s is not None:
             self._flushed_at_s = time.monotonic()
 
@@ -171,8 +163,7 @@ class TraceWriter:
         """
         if not self._closed:
             self.flush()
-            self._stream.close()
-            self._sink.close()
+            self._rows_out.close()
             self._closed = True
             convert(self.journal, self.path)
             self.journal.unlink()
@@ -213,11 +204,12 @@ class TraceWriter:
             return lambda row: (only_scalar(row), only_vector(row))
         cell_scalar, cell_vector = cell(scalar_columns), cell(vector_columns)
         arm_scalar, arm_vector = arm(scalar_columns), arm(vector_columns)
+        records = attrgetter("arms")
 
         def take(row: _Row) -> _Values:
             scalars, vectors = cell_scalar(row), cell_vector(row)
             for name in self._arms:
-                record = row.arms[name]
+                record = records(row)[name]
                 scalars += arm_scalar(record)
                 vectors += arm_vector(record)
             return scalars, vectors
@@ -233,14 +225,6 @@ class TraceWriter:
             if not np.can_cast(np.asarray(value).dtype, float, "same_kind"):
                 return f"column {name} holds {np.asarray(value).dtype}, not numbers"
         return "a vector column cannot be stored"
-
-    def _write(self, batch: pa.RecordBatch) -> None:
-        checksum = zlib.crc32(batch.serialize(), self._schema_crc)
-        try:
-            self._stream.write_batch(batch, custom_metadata={_CRC_KEY: b"%08x" % checksum})
-            self._sink.flush()
-        except OSError as error:
-            raise TraceError(f"{self.journal}: cannot be written: {error}") from error
 
     def _batch(self) -> pa.RecordBatch:
         count = len(self._scalars)
@@ -347,14 +331,13 @@ class Trace:
 
         Metadata is left out: equal motions on two machines have equal digests.
         """
-        digest = _Digest(self.table.schema)
+        digest = TableDigest(self.table.schema)
         for batch in self.table.to_batches():
             digest.update(batch)
         return digest.hexdigest()
 
     def _vector(self, name: str, array: pa.ListArray) -> np.ndarray:
-        width = next(c.width for c in columns(self.layout) if c.name == name)
-        assert width is not None  # A list column is a vector signal: `load` compared the schema.
+        width = {column.name: column.width or 0 for column in columns(self.layout)}[name]
         values = array.flatten().to_numpy(zero_copy_only=False)
         if not array.null_count:
             return values.reshape(len(array), width)
@@ -383,7 +366,7 @@ def load(path: Path | str) -> Trace:
     elif not path.is_file():
         raise TraceError(f"{path}: no such file or folder")
     if path.suffix == Path(JOURNAL_NAME).suffix:
-        journal = _Journal(path)
+        journal = JournalReader(path)
         trace = Trace(pa.Table.from_batches(journal, journal.schema), path, journal.torn_bytes)
         if trace.torn_bytes:
             warnings.warn(
@@ -398,7 +381,7 @@ def load(path: Path | str) -> Trace:
 
 def convert(journal: Path, target: Path) -> None:
     """Writes a journal's intact batches as parquet, in memory that does not grow with the run."""
-    batches = _Journal(journal)
+    batches = JournalReader(journal)
     temporary = target.with_name(target.name + ".part")
     floats = [
         field.name + (".list.element" if pa.types.is_list(field.type) else "")
@@ -406,13 +389,13 @@ def convert(journal: Path, target: Path) -> None:
         if pa.types.is_floating(getattr(field.type, "value_type", field.type))
     ]
     strings = [field.name for field in batches.schema if pa.types.is_string(field.type)]
-    digest = _Digest(batches.schema)
+    digest = TableDigest(batches.schema)
     try:
         with pq.ParquetWriter(
             temporary,
             batches.schema,
             compression="zstd",
-            use_dictionary=strings,
+            use_dictionary=strings,  # pyright: ignore[reportArgumentType] (pyarrow takes a list)
             column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
             write_page_checksum=True,
         ) as writer:
@@ -427,95 +410,6 @@ def convert(journal: Path, target: Path) -> None:
         raise TraceError(f"{target}: cannot be written: {error}") from error
     finally:
         temporary.unlink(missing_ok=True)
-
-
-class _Journal:
-    """Iterates over the intact batches of a journal; afterwards `torn_bytes` is known."""
-
-    def __init__(self, path: Path):
-        self.path = path
-        self.torn_bytes = 0
-        self._file = pa.OSFile(str(path))
-        try:
-            self._reader = pa.ipc.open_stream(self._file)
-            # The reader reads ahead. A second handle, moved on by a message whenever the reader
-            # has given an intact one, knows where the last intact batch ends.
-            self._intact = pa.OSFile(str(path))
-            pa.ipc.read_message(self._intact)
-        except (OSError, pa.ArrowException) as error:
-            raise TraceError(f"{path}: is not a journal of a trace: {error}") from error
-        self.schema: pa.Schema = self._reader.schema
-        self._schema_crc = zlib.crc32(self.schema.serialize())
-
-    def __iter__(self) -> Iterator[pa.RecordBatch]:
-        intact = 0
-        with self._file, self._intact:
-            while True:
-                try:
-                    batch, custom = self._reader.read_next_batch_with_custom_metadata()
-                    # Offsets are validated before anything follows them.
-                    batch.validate(full=True)
-                    checksum = b"%08x" % zlib.crc32(batch.serialize(), self._schema_crc)
-                    stored = (custom or {}).get(_CRC_KEY)
-                    if checksum != stored:
-                        raise TraceError(f"its CRC-32 is {checksum!r}, written was {stored!r}")
-                    pa.ipc.read_message(self._intact)
-                except StopIteration:
-                    return self._finish(intact, TraceError("its length is zero"), torn=True)
-                except (OSError, pa.ArrowException) as error:
-                    return self._finish(intact, error, torn=True)
-                except TraceError as error:
-                    return self._finish(intact, error, torn=False)
-                intact += 1
-                yield batch
-
-    def _finish(self, intact: int, error: Exception, *, torn: bool) -> None:
-        """Tells the end, and a batch cut short by a kill, which is dropped, from damage."""
-        end = self._intact.tell()
-        content = self.path.read_bytes()
-        if content[end:] in (b"", _END_OF_STREAM):
-            return
-        # A kill leaves the beginning of a batch, which opens like the end mark, and every batch has
-        # one checksum entry: there is at most one beyond the intact ones.
-        opening = _END_OF_STREAM[:4].startswith(content[end : end + 4])
-        if not (torn and opening) or content.count(_CRC_KEY) > intact + 1:
-            fault = f"{self.path}: the batch at byte {end} is damaged: {error}"
-            raise TraceError(fault) from error
-        self.torn_bytes = len(content) - end
-
-
-class _Digest:
-    """SHA-256 of columns, fed batch by batch."""
-
-    def __init__(self, table_schema: pa.Schema):
-        self._names = table_schema.names
-        # Validity, lengths and values are hashed apart, so that cuts between batches leave no mark.
-        self._parts = [[hashlib.sha256() for _ in range(3)] for _ in self._names]
-        self._types = [str(t) for t in table_schema.types]
-
-    def update(self, batch: pa.RecordBatch) -> None:
-        for array, (valid, lengths, values) in zip(batch.columns, self._parts, strict=True):
-            valid.update(array.is_valid().to_numpy(zero_copy_only=False).view(np.uint8))
-            if pa.types.is_list(array.type):
-                lengths.update(np.diff(array.offsets.to_numpy()))
-                array = array.flatten()
-            elif pa.types.is_string(array.type):
-                _, offset_buffer, data = array.buffers()
-                end = array.offset + len(array) + 1
-                offsets = np.frombuffer(offset_buffer, np.int32, end)[array.offset :]
-                lengths.update(np.diff(offsets))
-                if data is not None and len(offsets):
-                    values.update(memoryview(data)[offsets[0] : offsets[-1]])
-                continue
-            if array.null_count:
-                array = array.drop_null()
-            values.update(np.ascontiguousarray(array.to_numpy(zero_copy_only=False)))
-
-    def hexdigest(self) -> str:
-        whole = hashlib.sha256()
-        for name, kind, parts in zip(self._names, self._types, self._parts, strict=True):
-            whole.update(f"{name}|{kind}|{'|'.join(p.hexdigest() for p in parts)}\n".encode())
-        return whole.hexdigest()
 
 
 def _scalar_array(values: tuple[Any, ...], kind: pa.DataType) -> pa.Array:
@@ -537,7 +431,7 @@ def _list_array(values: np.ndarray, null: np.ndarray) -> pa.ListArray:
     return pa.ListArray.from_arrays(pa.array(offsets), pa.array(flat), type=_LIST, mask=mask)
 
 
-def _regroup(batches: Iterator[pa.RecordBatch] | _Journal) -> Iterator[pa.Table]:
+def _regroup(batches: Iterator[pa.RecordBatch] | JournalReader) -> Iterator[pa.Table]:
     """The same rows in tables of `_ROW_GROUP_ROWS`, whatever the batches were."""
     waiting: list[pa.RecordBatch] = []
     rows = 0
@@ -553,7 +447,7 @@ def _regroup(batches: Iterator[pa.RecordBatch] | _Journal) -> Iterator[pa.Table]
         yield pa.Table.from_batches(waiting).combine_chunks()
 
 
-def _integrity(digest: _Digest, table_schema: pa.Schema) -> bytes:
+def _integrity(digest: TableDigest, table_schema: pa.Schema) -> bytes:
     """Hash of rows and metadata: page checksums leave the footer, where metadata is, uncovered."""
     entries = sorted((table_schema.metadata or {}).items())
     whole = hashlib.sha256(digest.hexdigest().encode())
@@ -572,7 +466,7 @@ def _read_parquet(path: Path) -> pa.Table:
         raise TraceError(f"{path}: is damaged or no parquet file: {error}") from error
     if stored is None:
         raise TraceError(f"{path}: has no entry {_INTEGRITY_KEY.decode()}: not a trace, or damaged")
-    digest = _Digest(table.schema)
+    digest = TableDigest(table.schema)
     for batch in table.to_batches():
         digest.update(batch)
     if _integrity(digest, table.schema) != stored:

@@ -96,7 +96,7 @@ def record(trace: Trace, scene_xml: Path | str, out_rrd: Path | str) -> Path:
     try:
         frames = _Frames(trace, model)
         recording.send_blueprint(_layout(trace, frames))
-        recording.send_recording_name(str(trace.metadata.get("name", out_rrd.parent.name)))
+        recording.send_recording_name(_title(trace, out_rrd))
         recording.send_property("workcell", rr.AnyValues(drop_untyped_nones=True, **_origin(trace)))
         _log_geometry(recording, trace, model, frames)
         _log_curves(recording, trace)
@@ -196,6 +196,10 @@ def _origin(trace: Trace) -> dict[str, str]:
         "trace_sha256": trace.digest(),
         "scenario": str(trace.metadata.get("scenario", "")),
     }
+
+
+def _title(trace: Trace, out_rrd: Path) -> str:
+    return str(trace.metadata.get("settings", {}).get("name", out_rrd.parent.name))
 
 
 def _layout(trace: Trace, frames: _Frames) -> rrb.Blueprint:

@@ -1,0 +1,124 @@
+"""The journal of a run: batches of rows on disk while the run lasts.
+
+In come Arrow record batches, out comes a stream that a kill can only cut at its end. Every batch
+carries a CRC-32 of the schema and of its own content, so that a batch that was cut off, which is
+dropped, can be told from one that was damaged, which is refused.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow as pa
+
+from workcell.errors import TraceError
+
+_CRC_KEY = b"workcell_crc32"
+_END_OF_STREAM = b"\xff\xff\xff\xff\0\0\0\0"
+"""What ends an Arrow stream that was closed; one that was cut off lacks it."""
+
+_SINK_BYTES = 1 << 20
+"""Larger than a batch of two arms (0.5 MB), so that a batch is a single write."""
+
+
+class JournalWriter:
+    """Appends batches of one schema to a journal.
+
+    Args:
+        path: File to write, replaced if it is there.
+        schema: Columns of the batches.
+
+    Raises:
+        TraceError: The file cannot be written.
+    """
+
+    def __init__(self, path: Path, schema: pa.Schema):
+        self.path = path
+        try:
+            self._sink = path.open("wb", buffering=_SINK_BYTES)
+            self._stream = pa.ipc.new_stream(self._sink, schema)
+        except OSError as error:
+            raise TraceError(f"{path}: cannot be written: {error}") from error
+        self._schema_crc = zlib.crc32(schema.serialize())
+
+    def write(self, batch: pa.RecordBatch) -> None:
+        """Hands a batch to the operating system: it outlives this process from then on."""
+        checksum = _checksum(batch, self._schema_crc)
+        try:
+            self._stream.write_batch(batch, custom_metadata={_CRC_KEY: checksum})
+            self._sink.flush()
+        except OSError as error:
+            raise TraceError(f"{self.path}: cannot be written: {error}") from error
+
+    def close(self) -> None:
+        """Ends the journal."""
+        self._stream.close()
+        self._sink.close()
+
+
+class JournalReader:
+    """Iterates over the intact batches of a journal.
+
+    `torn_bytes` is how much of an unfinished last batch was dropped, known when the iteration has
+    come to its end.
+
+    Raises:
+        TraceError: The file is no journal, or is damaged before its last batch.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.torn_bytes = 0
+        self._file = pa.OSFile(str(path))
+        try:
+            self._reader = pa.ipc.open_stream(self._file)
+            # The reader reads ahead. A second handle, moved on by a message whenever the reader
+            # has given an intact one, knows where the last intact batch ends.
+            self._intact = pa.OSFile(str(path))
+            pa.ipc.read_message(self._intact)
+        except (OSError, pa.ArrowException) as error:
+            raise TraceError(f"{path}: is not a journal of a trace: {error}") from error
+        self.schema: pa.Schema = self._reader.schema
+        self._schema_crc = zlib.crc32(self.schema.serialize())
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        intact = 0
+        with self._file, self._intact:
+            while True:
+                try:
+                    batch, custom = self._reader.read_next_batch_with_custom_metadata()
+                    # Offsets are validated before anything follows them.
+                    batch.validate(full=True)
+                    checksum = _checksum(batch, self._schema_crc)
+                    stored = (custom or {}).get(_CRC_KEY)
+                    if checksum != stored:
+                        raise TraceError(f"its CRC-32 is {checksum!r}, written was {stored!r}")
+                    pa.ipc.read_message(self._intact)
+                except StopIteration:
+                    return self._finish(intact, TraceError("its length is zero"), torn=True)
+                except (OSError, pa.ArrowException) as error:
+                    return self._finish(intact, error, torn=True)
+                except TraceError as error:
+                    return self._finish(intact, error, torn=False)
+                intact += 1
+                yield batch
+
+    def _finish(self, intact: int, error: Exception, *, torn: bool) -> None:
+        """Tells the end, and a batch cut short by a kill, which is dropped, from damage."""
+        end = self._intact.tell()
+        content = self.path.read_bytes()
+        if content[end:] in (b"", _END_OF_STREAM):
+            return
+        # A kill leaves the beginning of a batch, which opens like the end mark, and every batch has
+        # one checksum entry: there is at most one beyond the intact ones.
+        opening = _END_OF_STREAM[:4].startswith(content[end : end + 4])
+        if not (torn and opening) or content.count(_CRC_KEY) > intact + 1:
+            fault = f"{self.path}: the batch at byte {end} is damaged: {error}"
+            raise TraceError(fault) from error
+        self.torn_bytes = len(content) - end
+
+
+def _checksum(batch: pa.RecordBatch, schema_crc: int) -> bytes:
+    return b"%08x" % zlib.crc32(batch.serialize(), schema_crc)
