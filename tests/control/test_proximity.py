@@ -185,6 +185,7 @@ def test_overlapping_collinear_axes_and_concentric_spheres_are_degenerate():
         ("capsule", "cylinder", 1e-4),
         ("ellipsoid", "sphere", 1e-4),
         ("capsule", "mesh", 1e-6),
+        ("box", "plane", 1e-7),
         ("box", "box", 1e-4),
         ("mesh", "box", 1e-5),
     ],
@@ -310,18 +311,20 @@ def test_no_pairs_at_all():
 
 def test_refusals_name_the_geoms_all_at_once():
     model = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><geom name='floor' type='plane' size='1 1 1'/>"
+        "<mujoco><asset><hfield name='land' nrow='2' ncol='2' size='1 1 1 1'/></asset>"
+        "<worldbody><geom name='floor' type='plane' size='1 1 1'/>"
+        "<geom name='hill' type='hfield' hfield='land'/>"
         "<geom name='rock' type='sphere' size='.1'/><body><joint/>"
         "<geom name='tray' type='box' size='.1 .1 .1'/><geom name='cup' size='.1'/></body>"
         "</worldbody><sensor><fromto name='s' geom1='tray' geom2='rock' cutoff='5'/>"
         "<fromto name='z' geom1='cup' geom2='rock'/></sensor></mujoco>"
     )
-    pairs = [("tray", "floor"), ("tray", "cup"), ("rock", "tray"), ("cup", "rock")]
+    pairs = [("floor", "hill"), ("tray", "cup"), ("rock", "tray"), ("cup", "rock")]
     ids = [(model.geom(i).id, model.geom(j).id) for i, j in pairs]
     with pytest.raises(InputError) as caught:
         PairGeometry(model, ids, [0, 0, 0, 6])
     text = str(caught.value)
-    assert "pair tray - floor: a plane may be paired with a sphere or capsule only" in text
+    assert "pair floor - hill: heightfields and signed distance fields are not supported" in text
     assert "pair tray - cup: no joint moves one geom without the other" in text
     assert "pair rock - tray: sensor_adr 0 is not the address of a fromto sensor" in text
     assert "pair cup - rock: its fromto sensor has cutoff 0" in text

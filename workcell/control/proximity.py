@@ -88,9 +88,8 @@ class PairGeometry:
 
     Args:
         model: The model.
-        pairs: Geom ids (i, j) of each pair. One of the two must be a sphere or capsule, or both
-            convex solids (box, cylinder, ellipsoid, mesh, of which MuJoCo takes the convex hull).
-            A plane works against a sphere or capsule.
+        pairs: Geom ids (i, j) of each pair: spheres, capsules, planes, boxes, cylinders,
+            ellipsoids and meshes (of which MuJoCo takes the convex hull).
         sensor_adr: Address in `sensordata` (P,) of each pair's `fromto` sensor, whose geoms are i
             and j in this order, and whose cutoff exceeds every distance that can occur.
 
@@ -329,8 +328,6 @@ def _faults(model: mujoco.MjModel, pairs: PairGeometry) -> list[str]:
         kinds = {int(model.geom_type[i]), int(model.geom_type[j])}
         if not kinds <= {*_ROUND, *_FLAT}:
             faults.append(f"{name}: heightfields and signed distance fields are not supported")
-        if _GEOM.mjGEOM_PLANE in kinds and not kinds & {*_ROUND}:
-            faults.append(f"{name}: a plane may be paired with a sphere or capsule only")
         if not pairs.sign[k].any():
             faults.append(f"{name}: no joint moves one geom without the other")
         sensor = sensor_at.get(int(pairs.sensor_adr[k]))
