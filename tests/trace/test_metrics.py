@@ -1,7 +1,9 @@
+import dataclasses
 import itertools
 import json
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +17,7 @@ from workcell.trace.metrics import (
     longest_scaling,
     period_s,
     reversals,
+    scaled_down,
     smallest_distance_m,
     spans,
     summarise,
@@ -135,6 +138,32 @@ def test_the_longest_scaling_is_of_one_pair(run):
     assert pairs[0] >= 0
     assert longest_scaling(run.trace, "surgeon") is None
     assert isinstance(span, Span)
+
+
+def with_column(trace, name, values):
+    """The trace with other values in a column."""
+    place = trace.table.column_names.index(name)
+    field = trace.table.schema.field(place)
+    table = trace.table.set_column(place, field, pa.array(values, field.type))
+    return dataclasses.replace(trace, table=table)
+
+
+def test_only_what_the_time_to_collision_bounds_counts_as_scaling(run):
+    trace = run.trace
+    halted = trace["nurse.mode"] == "halt"
+    assert halted.any()
+    assert (trace["nurse.scale"][halted] == 0).all()
+    assert not scaled_down(trace, "nurse")[halted].any()
+    span = longest_scaling(trace, "nurse")
+    reason = trace["nurse.reason"].copy()
+    reason[span.start + 10 :] = "rise"
+    rising = with_column(trace, "nurse.reason", reason)
+    assert longest_scaling(rising, "nurse") != span
+    # While the factor only rises back, t_min need not be held and is not asked for.
+    longer = with_column(rising, "ttc_s", np.where(reason == "rise", 3.0, 0.8))
+    assert summarise(longer)["ttc_held_within_2_percent"] == 1.0
+    shorter = with_column(trace, "ttc_s", np.where(np.arange(len(trace)) % 2, 0.8, 0.9))
+    assert summarise(shorter)["ttc_held_within_5_percent"] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from workcell.errors import TraceError
 from workcell.trace.table import Trace
 
 Floats = NDArray[np.float64]
-Metric = float | int | str | None
+Metric = float | int | str | bool | None
 
 SCALED_BELOW = 1.0 - 1e-6
 """A factor below it counts as scaling: rounding of a free factor stays far above."""
@@ -29,8 +29,12 @@ the last digits of a solver and to catch chatter that an onlooker would see."""
 
 TTC_REASON = "ttc"
 """What an arm's `reason` says where the time to collision bounds its speed."""
+OTHER_ARM_REASON = "other_arm"
+"""What it says where the other arm's own motion alone forces a pair below t_min."""
 STOPPED_MODES = ("halt", "stop")
 """Modes in which nothing moves by decision, not by scaling."""
+MEET_JOB, RETREAT_JOB, DONE_JOB = "meet", "retreat", "done"
+"""Names of jobs in the arms' `job`: on the way to another tool, on the way back, at the end."""
 
 FLAT_TOLERANCES = (0.02, 0.05)
 """How near t_min a scaled time to collision counts as held; the metric names carry the percent."""
@@ -48,6 +52,7 @@ def summarise(trace: Trace) -> dict[str, Metric]:
         "ticks": len(trace),
         "duration_s": float(trace["time_s"][-1] - trace["time_s"][0]) + period_s(trace),
         "final_mode": str(trace["mode"][-1]),
+        "completed": _completed(trace),
         **_distances(trace),
         **_times_to_collision(trace),
         **_modes(trace, ""),
@@ -87,6 +92,12 @@ def control_setting(trace: Trace, key: str) -> float | None:
     """A number of the scenario's `[control]` table, None if the trace does not carry it."""
     value = trace.metadata.get("settings", {}).get("control", {}).get(key)
     return None if value is None else float(value)
+
+
+def jobs_of(trace: Trace, arm: str) -> list[dict[str, Any]]:
+    """The jobs the scenario gives an arm; empty for one that an operator drives."""
+    arms = trace.metadata.get("settings", {}).get("arm", [])
+    return next((entry.get("job", []) for entry in arms if entry["name"] == arm), [])
 
 
 def support_arm(trace: Trace) -> str:
@@ -160,9 +171,17 @@ def scaled_down(trace: Trace, arm: str) -> NDArray[np.bool_]:
     return (trace[f"{arm}.scale"] < SCALED_BELOW) & ~stopped
 
 
+def held_back(trace: Trace, arm: str) -> NDArray[np.bool_]:
+    """Ticks at which the time to collision bounds the arm's speed, (T,).
+
+    Where the factor still rises back, the estimate is rightly longer: those are left out.
+    """
+    return scaled_down(trace, arm) & (trace[f"{arm}.reason"] == TTC_REASON)
+
+
 def longest_scaling(trace: Trace, arm: str) -> Span | None:
     """The longest run of ticks in which the time to collision of one pair bounds the speed."""
-    bound = scaled_down(trace, arm) & (trace[f"{arm}.reason"] == TTC_REASON)
+    bound = held_back(trace, arm)
     # An arm brought to a stand has no closing left that could decay.
     bound &= trace[f"{arm}.scale"] > 0
     pair = trace[f"{arm}.limiting_pair"]
@@ -184,6 +203,7 @@ def _distances(trace: Trace) -> dict[str, Metric]:
         "smallest_distance_pair": None,
         "smallest_distance_time_s": None,
         "smallest_distance_apart_m": _finite(apart.min()),
+        "contact": bool(smallest.min() <= 0.0 or (known.size > 0 and known.min() <= 0.0)),
         "smallest_check_distance_m": float(known.min()) if known.size else None,
     }
     if trace.layout.pairs:
@@ -197,7 +217,6 @@ def _distances(trace: Trace) -> dict[str, Metric]:
 
 def _times_to_collision(trace: Trace) -> dict[str, Metric]:
     """Smallest estimates, and how well t_min was held while an arm was scaled."""
-    t_min_s = control_setting(trace, "t_min_s")
     measured, commanded = trace["ttc_s"], trace["ttc_command_s"]
     result: dict[str, Metric] = {
         "smallest_ttc_s": None,
@@ -205,6 +224,7 @@ def _times_to_collision(trace: Trace) -> dict[str, Metric]:
         "smallest_ttc_command_s": None,
         "smallest_ttc_command_time_s": None,
         "smallest_ttc_command_reason": None,
+        "smallest_ttc_command_own_s": None,
     }
     if not np.isnan(measured).all():
         tick = int(np.nanargmin(measured))
@@ -216,18 +236,29 @@ def _times_to_collision(trace: Trace) -> dict[str, Metric]:
         result["smallest_ttc_command_s"] = float(commanded[tick])
         result["smallest_ttc_command_time_s"] = float(trace["time_s"][tick])
         result["smallest_ttc_command_reason"] = ", ".join(sorted(reasons))
+    # Where the other arm comes nearer by itself, no factor of this one could hold t_min.
+    own = ~np.isnan(commanded)
+    for arm in trace.layout.arms:
+        own &= trace[f"{arm}.reason"] != OTHER_ARM_REASON
+    if own.any():
+        result["smallest_ttc_command_own_s"] = float(commanded[own].min())
     result["scaling_ticks"] = int(np.sum(trace["mode"] == "scale"))
-    # Where the factor still rises back, the estimate is rightly longer: only bound ticks count.
     scaling = np.zeros(len(trace), dtype=bool)
     for arm in trace.layout.arms:
-        scaling |= scaled_down(trace, arm) & (trace[f"{arm}.reason"] == TTC_REASON)
+        scaling |= held_back(trace, arm)
+    return result | _held_at_t_min(trace, scaling, "")
+
+
+def _held_at_t_min(trace: Trace, ticks: NDArray[np.bool_], prefix: str) -> dict[str, Metric]:
+    """Fraction of the given ticks at which the measured time to collision is t_min."""
+    t_min_s = control_setting(trace, "t_min_s")
+    result: dict[str, Metric] = {}
     for tolerance in FLAT_TOLERANCES:
-        name = f"ttc_held_within_{round(100 * tolerance)}_percent"
         held = None
-        if t_min_s is not None and scaling.any():
+        if t_min_s is not None and ticks.any():
             # A pair that does not close any more is not held at t_min: NaN compares as false.
-            held = float(np.mean(np.abs(measured[scaling] / t_min_s - 1.0) <= tolerance))
-        result[name] = held
+            held = float(np.mean(np.abs(trace["ttc_s"][ticks] / t_min_s - 1.0) <= tolerance))
+        result[f"{prefix}ttc_held_within_{round(100 * tolerance)}_percent"] = held
     return result
 
 
@@ -252,12 +283,13 @@ def _arm(trace: Trace, arm: str) -> dict[str, Metric]:
     command = trace["command_rad_s"][:, joint_columns(trace, arm)]
     span = longest_scaling(trace, arm)
     halted = np.flatnonzero(trace["mode"] == "halt")
-    distance_decay = speed_decay = None
+    distance_decay = speed_decay = closing_decay = None
     if span is not None:
         window = slice(span.start, span.stop)
         pair = int(trace[f"{arm}.limiting_pair"][span.start])
         distance_decay = decay_time_s(time_s[window], trace["pair_distance_m"][window, pair])
         speed_decay = decay_time_s(time_s[window], speed[window])
+        closing_decay = decay_time_s(time_s[window], -trace["pair_rate_m_s"][window, pair])
     return {
         "path_done_s": _path_done_s(trace, arm),
         "peak_tool_speed_m_s": float(speed.max()),
@@ -273,6 +305,9 @@ def _arm(trace: Trace, arm: str) -> dict[str, Metric]:
         "longest_scaling_s": 0.0 if span is None else len(span) * dt_s,
         "distance_decay_s": distance_decay,
         "speed_decay_s": speed_decay,
+        "closing_decay_s": closing_decay,
+        **_meeting(trace, arm),
+        **_retreating(trace, arm),
         **_reasons(trace, arm),
     }
 
@@ -285,6 +320,41 @@ def _path_done_s(trace: Trace, arm: str) -> float | None:
         return float(trace["time_s"][0])
     last = int(moving[-1]) + 1
     return None if last == len(trace) - 1 else float(trace["time_s"][last])
+
+
+def _completed(trace: Trace) -> bool | None:
+    """Whether every arm that has jobs ended with all of them done; None where no arm has any."""
+    working = [arm for arm in trace.layout.arms if jobs_of(trace, arm)]
+    if not working:
+        return None
+    return all(str(trace[f"{arm}.job"][-1]) == DONE_JOB for arm in working)
+
+
+def _meeting(trace: Trace, arm: str) -> dict[str, Metric]:
+    """How flat the time to collision was on the way to another arm's tool; for arms that meet one."""
+    if not any(job["kind"] == MEET_JOB for job in jobs_of(trace, arm)):
+        return {}
+    ticks = held_back(trace, arm) & (trace[f"{arm}.job"] == MEET_JOB)
+    return _held_at_t_min(trace, ticks, "meet_")
+
+
+def _retreating(trace: Trace, arm: str) -> dict[str, Metric]:
+    """The smallest factor while leaving, which must not be slowed; for arms that retreat.
+
+    Counted are the retreat's ticks at which every close pair opens. Close is what the time to
+    collision could limit at all: nearer than the retreat's speed times t_min.
+    """
+    retreats = [job for job in jobs_of(trace, arm) if job["kind"] == RETREAT_JOB]
+    t_min_s = control_setting(trace, "t_min_s")
+    if not retreats or t_min_s is None:
+        return {}
+    reach_m = t_min_s * max(job["speed_m_s"] for job in retreats)
+    mine = [any(g.startswith(f"{arm}/") for g in pair) for pair in trace.layout.pairs]
+    distance, rate = trace["pair_distance_m"][:, mine], trace["pair_rate_m_s"][:, mine]
+    leaving = ((rate > 0.0) | (distance > reach_m)).all(axis=1)
+    ticks = leaving & (trace[f"{arm}.job"] == RETREAT_JOB)
+    scale = trace[f"{arm}.scale"][ticks]
+    return {"retreat_smallest_scale": float(scale.min()) if scale.size else None}
 
 
 def _elbow_travel_m(trace: Trace, arm: str) -> float | None:
