@@ -32,7 +32,10 @@ class ScaleBound:
     pair: int
     """Index of the pair that sets the factor; -1 when the full velocity is allowed."""
     required: float
-    """The factor before clamping: negative asks to back up, infinite when no pair limits it."""
+    """The factor before clamping: negative asks to back up, infinite when no pair limits it.
+
+    Minus infinite where a pair cannot be held by any speed along this direction.
+    """
     shortfall_m_s: float
     """Opening rate still missing at `factor` in the worst pair, >= 0.
 
@@ -103,7 +106,7 @@ def pairwise_factor(
     allowance = (distance - standoff_m) / t_min_s + other
     closing = own < 0.0
     required = np.full(distance.shape, np.inf)
-    with np.errstate(over="ignore"):  # A vanishing closing rate rightly never limits.
+    with np.errstate(over="ignore"):  # A vanishing closing rate holds any pair, or none.
         np.divide(allowance, -own, out=required, where=closing)
     if distance.size == 0:
         return ScaleBound(1.0, -1, np.inf, 0.0, -1)
