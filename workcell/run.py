@@ -28,6 +28,7 @@ from workcell.expect import judge
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.settings import CheckSettings, Exemption
 from workcell.guard.supervisor import LatchedCheck
+from workcell.plant import Measurement
 from workcell.scenario import Meet, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
@@ -104,9 +105,21 @@ def prepare(scenario: Scenario, folder: Path) -> Cell:
 
 
 def simulate(
-    cell: Cell, out: Path, *, progress: Callable[[int, int], None] | None = None
+    cell: Cell,
+    out: Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    watch: Callable[[int, mujoco.MjData, Controller], None] | None = None,
 ) -> Ending:
-    """Step the plant with the controller in its callback; every tick becomes a row of the trace."""
+    """Step the plant with the controller in its callback; every tick becomes a row of the trace.
+
+    Args:
+        cell: What is simulated.
+        out: Run folder that holds the scene; the trace is written into it.
+        progress: Called with (ticks done, ticks of a full run) now and then.
+        watch: Called before every tick with its number, the plant's true state and the controller,
+            neither of which it may change.
+    """
     scenario = cell.scenario
     data = mujoco.MjData(cell.model)
     cell.place_home(data)
@@ -115,9 +128,12 @@ def simulate(
     with final_check(cell, out) as check, ExitStack() as stack:
         controller = Controller(cell, check=check)
         trace = stack.enter_context(TraceWriter(out, layout(cell), metadata(cell), cell.period_s))
-        stack.enter_context(installed(controller, cell.model, data))
+        measurement = Measurement(scenario.simulation)
+        stack.enter_context(installed(controller, measurement, data))
         try:
             for tick in range(scenario.ticks):
+                if watch:
+                    watch(tick, data, controller)
                 step(cell, controller, data)
                 trace.append(controller.record)
                 if progress and tick % 250 == 0:
@@ -276,13 +292,15 @@ def versions() -> dict[str, str]:
 
 
 @contextmanager
-def installed(controller: Controller, model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[None]:
+def installed(
+    controller: Controller, measurement: Measurement, data: mujoco.MjData
+) -> Iterator[None]:
     """Install the controller as MuJoCo's control callback for one plant, and remove it whatever happens."""
 
     def callback(called_model: mujoco.MjModel, called_data: mujoco.MjData) -> None:
         # The callback is global to the process: other simulations in it must not be steered.
         if called_data is data:
-            controller.control(model, data)
+            controller.control(data, *measurement.read(data.qpos, data.qvel))
 
     mujoco.set_mjcb_control(callback)
     try:

@@ -63,6 +63,10 @@ class Simulation(_Table):
     period_s: Annotated[float, Field(gt=0, le=0.02, allow_inf_nan=False)] = 0.002
     duration_s: Positive = 30.0
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    position_noise_rad: NonNegative = 0.0
+    velocity_noise_rad_s: NonNegative = 0.0
+    latency_ticks: Annotated[int, Field(ge=0, le=1000)] = 0
+    dropped_fraction: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
 
 
 class Control(_Table):
@@ -232,6 +236,42 @@ class Sabotage(_Table):
     factor_multiplier: Positive = 1.0
 
 
+class Variation(_Table):
+    """How a sweep draws one key: exactly one of a range, a normal distribution, choices, or a spread
+    around the value in the file (entry by entry for a list)."""
+
+    min: float | int | None = None
+    max: float | int | None = None
+    log: bool = False
+    mean: Finite | None = None
+    sd: Positive | None = None
+    choices: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    plus_minus: Positive | None = None
+
+    @model_validator(mode="after")
+    def _is_one_of_four(self) -> Variation:
+        normal = self.mean is not None and self.sd is not None
+        ranged = self.min is not None and self.max is not None and self.mean is None
+        asked = [ranged, normal, self.choices is not None, self.plus_minus is not None]
+        if sum(asked) != 1 or (self.mean is None) != (self.sd is None):
+            raise ValueError(
+                "allowed is exactly one of: min and max (log = true for a logarithmic range); "
+                "mean and sd (with min, max to cut it off); choices; plus_minus"
+            )
+        if (self.min is None) != (self.max is None) or (
+            not (ranged or normal) and self.min is not None
+        ):
+            raise ValueError("min and max come together, as a range or as the ends of a normal")
+        if self.min is not None and self.max is not None:
+            if not (math.isfinite(self.min) and math.isfinite(self.max) and self.min < self.max):
+                raise ValueError("min must be below max, both finite")
+            if self.log and self.min <= 0:
+                raise ValueError("a logarithmic range needs min above 0")
+        if self.log and not ranged:
+            raise ValueError("log goes with a range, min and max")
+        return self
+
+
 class Scenario(_Table):
     """A whole scenario file, resolved: every default is filled in."""
 
@@ -244,6 +284,7 @@ class Scenario(_Table):
     arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
     obstacle: tuple[Obstacle, ...] = ()
     expect: dict[str, Annotated[Bound, BeforeValidator(_as_bound)]] = {}
+    vary: dict[str, Variation] = {}
     _file: Path | None = PrivateAttr(None)
 
     @model_validator(mode="after")

@@ -190,9 +190,21 @@ class Controller:
             raise RuntimeError("the controller has not ticked yet")
         return self._record
 
-    def control(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """MuJoCo's control callback: one tick, from the plant's state to its actuator commands."""
-        self.step(data.qpos, data.qvel)
+    @property
+    def windows(self) -> list[str]:
+        """Names of the final check's exemptions that the present jobs hold open."""
+        return [arm.window for arm in self._support if arm.window is not None]
+
+    def control(
+        self, data: mujoco.MjData, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
+    ) -> None:
+        """What MuJoCo's control callback does: one tick, from the measured state to actuator commands.
+
+        Args:
+            data: The plant, of which the controls are written; the servos' own encoders see its joints.
+            qpos, qvel: What the controller is told of its state.
+        """
+        self.step(qpos, qvel)
         for arm in self._arms:
             if arm.servo.write(data, np.asarray(data.qpos)[arm.handles.qpos], arm.command_rad_s):
                 record = self.record.arms[arm.handles.name]
@@ -291,8 +303,7 @@ class Controller:
         """Ask the final check whether the support arms may go on."""
         if self._check is None:
             return
-        windows = [arm.window for arm in self._support if arm.window is not None]
-        verdict = self._check.ask(record.tick, record.qpos, windows)
+        verdict = self._check.ask(record.tick, record.qpos, self.windows)
         record.check_state, record.check_distance_m = str(verdict.state), verdict.distance_m
         if self._check.halted:
             for arm in self._arms:
