@@ -48,6 +48,9 @@ def test_the_synthetic_run_is_summed_up(run, summary):
     assert summary["nurse.speed_reversals"] == 2, "it slows, speeds up and slows again"
     assert summary["nurse.smallest_scale"] == 0.0
     assert summary["nurse.max_tool_error_m"] == 1e-4
+    assert summary["contact"] is False
+    assert summary["completed"] is None, "no arm was given jobs that could be done"
+    assert summary["smallest_ttc_command_own_s"] == summary["smallest_ttc_command_s"]
     assert summary["smallest_check_distance_m"] == pytest.approx(
         summary["smallest_distance_m"] + 0.01
     )
