@@ -45,6 +45,9 @@ SCENE_FOLDER = "scene"
 
 MEETING_S = 60.0
 """How long two tools may be exempt from the final check if a job forgets to part them; chosen longer than any exchange."""
+CLOSING_MARGIN = 1.25
+"""A meeting may close this much faster than its path speed: corrections of tool errors come on top, up to a few
+percent seen; chosen well above them and well below a second arm's own speed."""
 
 PACKAGES = (
     "workcell",
@@ -189,7 +192,7 @@ def check_settings(cell: Cell) -> CheckSettings:
                 geoms_i=(tools[arm.name],),
                 geoms_j=(tools[job.arm],),
                 expiry_s=MEETING_S,
-                max_closing_m_s=job.speed_m_s,
+                max_closing_m_s=CLOSING_MARGIN * job.speed_m_s,
                 d_min_m=d_min / 2,
             )
             for arm in scenario.arm
