@@ -360,6 +360,19 @@ def load(scenario: str | Path, overrides: tuple[str, ...] = ()) -> Scenario:
     for override in overrides:
         _apply(content, override, path)
     _resolve_models(content, path.parent)
+    return validate(content, path)
+
+
+def validate(content: dict[str, Any], path: Path | None) -> Scenario:
+    """The scenario of a parsed file.
+
+    Args:
+        content: What the file holds, paths of models resolved.
+        path: Where it was read from, for messages.
+
+    Raises:
+        InputError: with every fault found, each naming key, value and what is allowed.
+    """
     try:
         scenario = Scenario.model_validate(content)
     except ValidationError as error:
