@@ -46,6 +46,7 @@ def _unit(wxyz: tuple[float, ...]) -> tuple[float, ...]:
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
@@ -82,6 +83,9 @@ class Control(_Table):
     task_gain_per_s: Positive = 10.0
     rise_time_s: Positive = 0.25
     reaction_s: NonNegative = 0.004
+    catch_up_m_s: Positive = 0.15
+    yields: bool = True
+    resolves_impasse: bool = True
 
 
 class Hold(_Table):
@@ -98,16 +102,73 @@ class Waypoint(_Table):
 
 
 class Waypoints(_Table):
-    """The tool follows a smooth path through waypoints, starting where it is."""
+    """The tool follows a smooth path through waypoints, starting where it is; then, `repeat` times, back and forth along them."""
 
     kind: Literal["waypoints"]
     waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.15
     acceleration_m_s2: Positive = 0.5
     start_s: NonNegative = 0.0
+    repeat: Annotated[int, Field(ge=0)] = 0
+    pause_s: NonNegative = 0.0
 
 
-Operator = Annotated[Hold | Waypoints, Field(discriminator="kind")]
+class _Followed(_Table):
+    """An input that may leap: caps on the target that follows it, and what counts as a leap."""
+
+    max_speed_m_s: Positive = 0.5
+    max_acceleration_m_s2: Positive = 2.0
+    max_turn_rad_s: Positive = 1.0
+    max_turn_rad_s2: Positive = 4.0
+    jump_m: Positive = 0.05
+    jump_rad: Positive = 0.35
+
+
+class Recording(_Followed):
+    """The tool follows a recorded stream of poses; docs/teleop.md has the format and the rules."""
+
+    kind: Literal["recording"]
+    file: str
+    start_s: NonNegative = 0.0
+    gap_s: Positive = 0.25
+
+
+class Human(_Table):
+    """A simulated person who works at sites; positions are in the world."""
+
+    kind: Literal["human"]
+    sites: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    speed_m_s: Positive = 0.2
+    acceleration_m_s2: Positive = 1.0
+    pause_s: tuple[Positive, Positive] = (0.3, 2.0)
+    stop_probability: Probability = 0.3
+    withdraw_probability: Probability = 0.1
+    withdraw_m: Vector3 = (0.0, 0.0, 0.10)
+    withdraw_speed_m_s: Positive = 0.4
+    withdraw_acceleration_m_s2: Positive = 3.0
+    elbow_probability: Probability = 0.1
+    elbow_shift_m: Positive = 0.05
+    tremor_m: NonNegative = 6e-5
+    start_s: NonNegative = 0.5
+
+    @model_validator(mode="after")
+    def _pause_has_an_order(self) -> Human:
+        if self.pause_s[0] > self.pause_s[1]:
+            raise ValueError("pause_s is the shortest and the longest pause, in this order")
+        return self
+
+
+class Live(_Followed):
+    """A person, through `workcell teleop`; times are those after which a fault is named."""
+
+    kind: Literal["live"]
+    stale_s: Positive = 0.1
+    late_s: Positive = 0.1
+    frozen_s: NonNegative = 0.0
+    jump_confirm_s: NonNegative = 0.1
+
+
+Operator = Annotated[Hold | Waypoints | Recording | Human | Live, Field(discriminator="kind")]
 
 
 class Move(_Table):
@@ -315,7 +376,7 @@ class Scenario(_Table):
         return round(self.simulation.duration_s / self.simulation.period_s)
 
     def to_toml(self) -> str:
-        """The resolved scenario as TOML; reading it back gives an equal scenario."""
+        """The resolved scenario as TOML; reading it back gives the same content and digest."""
         return tomli_w.dumps(_without_none(self.model_dump(mode="json")))
 
     def digest(self) -> str:
@@ -496,6 +557,9 @@ def _first_table(annotation: Any) -> Any:
 _TAGGED = {
     "hold": Hold,
     "waypoints": Waypoints,
+    "recording": Recording,
+    "human": Human,
+    "live": Live,
     "move": Move,
     "meet": Meet,
     "wait": Wait,
