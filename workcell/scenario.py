@@ -465,7 +465,21 @@ def _apply(content: dict[str, Any], override: str, path: Path) -> None:
             f"--set {key}: {last!r} would replace one of several entries; name a key inside it",
             file=path,
         )
-    node[last] = value
+    if last == "file" and parents[-1:] == ["operator"]:
+        _make_recording(node, str(value))
+    else:
+        node[last] = value
+
+
+def _make_recording(operator: dict[str, Any], file: str) -> None:
+    """Any operator given a file becomes a recording of it, keeping the keys a recording has.
+
+    A file that exists seen from the working folder is that one, else it is relative to the scenario.
+    """
+    kept = {key: value for key, value in operator.items() if key in Recording.model_fields}
+    operator.clear()
+    here = Path(file)
+    operator.update(kept, kind="recording", file=str(here.resolve()) if here.is_file() else file)
 
 
 def _descend(node: Any, part: str, key: str, path: Path) -> Any:
@@ -483,12 +497,16 @@ def _descend(node: Any, part: str, key: str, path: Path) -> Any:
 
 
 def _resolve_models(content: dict[str, Any], folder: Path) -> None:
-    """Make relative paths of arm files absolute; shipped names stay names."""
+    """Make relative paths of arm files and recordings absolute; shipped names stay names."""
     arms = content.get("arm")
     for arm in arms if isinstance(arms, list) else []:
         model = arm.get("model") if isinstance(arm, dict) else None
         if isinstance(model, str) and model not in assets.model_names():
             arm["model"] = str((folder / model).resolve())
+        operator = arm.get("operator") if isinstance(arm, dict) else None
+        file = operator.get("file") if isinstance(operator, dict) else None
+        if isinstance(operator, dict) and isinstance(file, str):
+            operator["file"] = str((folder / file).resolve())
 
 
 def _roots(items: list[Any]) -> list[Any]:

@@ -118,6 +118,8 @@ CELL_SIGNALS: tuple[Signal, ...] = (
     _S("check_state", "", "scalar", "string", 0, 0, "check", "what the final check says"),
     _S("command_rad_s", "rad/s", "nv", "float64", 1e-5, 0, "command",
        "joint velocities really commanded"),
+    _S("closing_cause", "", "scalar", "string", 0, 0, "command",
+       "arm whose commanded motion closes the pair of ttc_command_s most; empty where nothing closes"),
     _S("mode", "", "scalar", "string", 0, 0, "mode",
        "which rung acts: run, scale, self_motion, yield, hold, halt, stop"),
 )  # fmt: skip
@@ -127,6 +129,8 @@ ARM_SIGNALS: tuple[Signal, ...] = (
     _S("target_position_m", "m", "xyz", "float64", 1e-6, 0, "target", "wanted tool position"),
     _S("target_wxyz", "1", "wxyz", "float64", 1e-6, 0, "target", "wanted tool orientation"),
     _S("job", "", "scalar", "string", 0, 0, "target", "name of what drives the arm now"),
+    _S("operator_state", "", "scalar", "string", 0, 0, "target",
+       "valid, or the name of what is wrong with the operator's input; empty without an operator"),
     _S("path_s", "s", "scalar", "float64", 1e-5, 0, "target",
        "progress clock of the job: time along its path at full speed"),
     _S("tool_position_m", "m", "xyz", "float64", 1e-6, 0, "state", "tool position in the world"),
@@ -148,6 +152,8 @@ ARM_SIGNALS: tuple[Signal, ...] = (
        "pair that fixes the factor; null where none does", nullable=True),
     _S("reason", "", "scalar", "string", 0, 0, "command",
        "why the command differs from what was wanted, empty if it does not"),
+    _S("attempt", "", "scalar", "string", 0, 0, "mode",
+       "what is tried against an impasse, empty if there is none"),
     _S("mode", "", "scalar", "string", 0, 0, "mode", "which rung acts on this arm"),
 )  # fmt: skip
 """Quantities of each arm, logged as `<arm>.<name>`."""

@@ -150,6 +150,7 @@ def run(tmp_path_factory) -> Run:
                     "target_position_m": tool,
                     "target_wxyz": np.array([1.0, 0, 0, 0]),
                     "job": "meet" if arm == "nurse" else "hold",
+                    "operator_state": "valid" if arm == "surgeon" else "",
                     "path_s": min(tick, 1200) * PERIOD_S if arm == "nurse" else 0.0,
                     "tool_position_m": tool,
                     "tool_wxyz": np.array([1.0, 0, 0, 0]),

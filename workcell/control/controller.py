@@ -71,6 +71,7 @@ class ArmRecord:
     elbow_position_m: NDArray[np.float64] | None
     artc_per_s: float
     armd_per_m: float
+    operator_state: str = ""
     ik_status: str = ""
     scale: float = 1.0
     limiting_pair: int | None = None
@@ -126,7 +127,16 @@ class _Arm:
             JobSequence(settings.job, position, wxyz, control.d_min_m) if self.support else None
         )
         self.operator = (
-            None if settings.operator is None else make_operator(settings.operator, position, wxyz)
+            None
+            if settings.operator is None
+            else make_operator(
+                settings.operator,
+                position,
+                wxyz,
+                seed=cell.scenario.simulation.seed,
+                name=handles.name,
+                period_s=dt,
+            )
         )
         owners = cell.pairs.owners
         self.all_pairs = np.array(
@@ -345,8 +355,10 @@ class Controller:
                     # The new path starts from rest: acceleration now counts from what was really commanded.
                     arm.wanted_rad_s = arm.command_rad_s
             elif arm.operator is not None:
-                arm.target = arm.operator.target(record.time_s)
-                row.job, row.path_s = arm.operator.name, record.time_s
+                wish = arm.operator.wish(record.time_s)
+                arm.target = wish.target
+                row.job, row.path_s = wish.doing, record.time_s
+                row.operator_state = wish.state
             for value in (
                 arm.target.position_m,
                 arm.target.wxyz,

@@ -1,47 +1,36 @@
-"""What drives a priority arm: the tool pose wanted at a time.
+"""What drives a priority arm: the tool motion wanted at a time, and whether the input is sound.
 
-Every operator is one interface, `target(time_s)`; the clock is the run's, since a priority arm is
-never slowed down.
+Every operator is one interface, `wish(time_s)` (workcell.motion.wish); the clock is the run's, since
+a priority arm is never slowed down. Here are the scripted ones, and the choice between all.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+import zlib
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
-from workcell.motion.path import PathGeometry, Target, TimedPath, standing
-
-
-class Operator(Protocol):
-    """Anything that knows the tool pose wanted at a time."""
-
-    name: str
-    """Logged as the arm's job."""
-
-    def target(self, time_s: float) -> Target:
-        """The pose and twist wanted at a time of the run."""
-        ...
+from workcell.motion.human import HumanOperator
+from workcell.motion.live import LiveOperator
+from workcell.motion.path import PathGeometry, TimedPath, standing
+from workcell.motion.recording import RecordingOperator
+from workcell.motion.wish import Operator, Wish
 
 
 class HoldOperator:
     """Keeps the pose the tool starts with."""
 
-    name = "hold"
-
     def __init__(self, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]):
-        self._target = standing(position_m, wxyz)
+        self._wish = Wish(standing(position_m, wxyz), "hold")
 
-    def target(self, time_s: float) -> Target:
-        return self._target
+    def wish(self, time_s: float) -> Wish:
+        return self._wish
 
 
 class WaypointsOperator:
-    """Moves through waypoints once, starting where the tool is."""
-
-    name = "waypoints"
+    """Moves through waypoints, starting where the tool is; with `repeat`, back and forth between first and last."""
 
     def __init__(
         self,
@@ -49,15 +38,36 @@ class WaypointsOperator:
         position_m: NDArray[np.float64],
         wxyz: NDArray[np.float64],
     ):
-        self._path = TimedPath(
-            path_through(settings.waypoints, position_m, wxyz),
-            speed_m_s=settings.speed_m_s,
-            acceleration_m_s2=settings.acceleration_m_s2,
+        profile = {
+            "speed_m_s": settings.speed_m_s,
+            "acceleration_m_s2": settings.acceleration_m_s2,
+        }
+        approach = path_through(settings.waypoints, position_m, wxyz)
+        # A single waypoint has no other end than where the tool started.
+        only = len(settings.waypoints) == 1
+        sweep = approach if only else path_through(settings.waypoints[1:], *_first(approach))
+        self._approach = TimedPath(approach, **profile)
+        self._legs = (
+            TimedPath(sweep, **profile, start_m=sweep.length_m, end_m=0.0),
+            TimedPath(sweep, **profile),
         )
-        self._start_s = settings.start_s
+        self._start_s, self._pause_s = settings.start_s, settings.pause_s
+        self._repeat = settings.repeat
 
-    def target(self, time_s: float) -> Target:
-        return self._path.target(time_s - self._start_s)
+    def wish(self, time_s: float) -> Wish:
+        clock = time_s - self._start_s
+        after = clock - self._approach.duration_s - self._pause_s
+        if after < 0.0 or not self._repeat:
+            return Wish(self._approach.target(clock), "waypoints")
+        leg_s = self._legs[0].duration_s + self._pause_s
+        index = min(int(after / leg_s), self._repeat - 1) if leg_s > 0.0 else 0
+        return Wish(self._legs[index % 2].target(after - index * leg_s), "waypoints")
+
+
+def _first(geometry: PathGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The first waypoint after the start, with the orientation it inherited."""
+    k = min(1, len(geometry.positions_m) - 1)
+    return geometry.positions_m[k], geometry.wxyz[k]
 
 
 def path_through(
@@ -74,9 +84,34 @@ def path_through(
 
 
 def make_operator(
-    settings: scenario.Operator, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]
+    settings: scenario.Operator,
+    position_m: NDArray[np.float64],
+    wxyz: NDArray[np.float64],
+    *,
+    seed: int = 0,
+    name: str = "",
+    period_s: float = 0.002,
 ) -> Operator:
-    """The operator a scenario asks for, for a tool that starts at the given pose."""
-    if isinstance(settings, scenario.Hold):
-        return HoldOperator(position_m, wxyz)
-    return WaypointsOperator(settings, position_m, wxyz)
+    """The operator a scenario asks for.
+
+    Args:
+        settings: From the scenario.
+        position_m, wxyz: Tool pose at the start.
+        seed: The scenario's seed.
+        name: The arm's name; two simulated people in one scenario do not move alike.
+        period_s: Control period.
+
+    Raises:
+        InputError: the file of a recording is missing or not sound.
+    """
+    match settings:
+        case scenario.Waypoints():
+            return WaypointsOperator(settings, position_m, wxyz)
+        case scenario.Recording():
+            return RecordingOperator(settings, position_m, wxyz, period_s=period_s)
+        case scenario.Human():
+            random = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            return HumanOperator(settings, position_m, wxyz, random)
+        case scenario.Live():
+            return LiveOperator(settings, position_m, wxyz, period_s=period_s)
+    return HoldOperator(position_m, wxyz)

@@ -1,0 +1,148 @@
+"""Target governor: a wanted pose that may leap -> a target that never does.
+
+Speed and acceleration of what comes out stay below caps, for translation and rotation apart. An
+input that keeps the caps itself passes unchanged, to the last bit, which is what lets a recorded
+run replay to the same trace. Otherwise the target closes the distance e to its input at
+
+    v = v_in + e · min(GAIN, sqrt(a |e|) / |e|),   |v| <= v_max,   |Δv| <= a dt,
+
+the square root being the speed from which braking at half the cap still fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from workcell.motion.path import Target, standing
+
+GAIN_PER_S = 10.0
+"""Rate at which a small distance is closed; chosen as the controller's own default task gain."""
+_ROUNDING = 1.0 + 1e-6
+"""A cap kept to the last bit must not read as broken."""
+
+
+@dataclass(frozen=True)
+class Caps:
+    """What a target may do."""
+
+    speed_m_s: float
+    acceleration_m_s2: float
+    turn_rad_s: float
+    turn_rad_s2: float
+
+
+class TargetGovernor:
+    """Slews a target after its input.
+
+    Args:
+        caps: Largest speeds and accelerations.
+        position_m, wxyz: Pose at the start, at rest.
+        period_s: Time between two calls.
+    """
+
+    def __init__(
+        self,
+        caps: Caps,
+        position_m: NDArray[np.float64],
+        wxyz: NDArray[np.float64],
+        *,
+        period_s: float,
+    ):
+        self._caps = caps
+        self._dt = period_s
+        self.target = standing(position_m, wxyz)
+        self.following = True
+        """Whether the last input passed unchanged."""
+
+    def follow(self, wanted: Target) -> Target:
+        """The target of this tick; one call a tick."""
+        last, caps, dt = self.target, self._caps, self._dt
+        away = wanted.position_m - last.position_m
+        turn = rotation_between(last.wxyz, wanted.wxyz)
+        self.following = _keeps(
+            away, wanted.velocity_m_s, last.velocity_m_s, caps.speed_m_s, caps.acceleration_m_s2, dt
+        ) and _keeps(
+            turn,
+            wanted.angular_velocity_rad_s,
+            last.angular_velocity_rad_s,
+            caps.turn_rad_s,
+            caps.turn_rad_s2,
+            dt,
+        )
+        if self.following:
+            self.target = wanted
+            return wanted
+        velocity = _slew(
+            away, wanted.velocity_m_s, last.velocity_m_s, caps.speed_m_s, caps.acceleration_m_s2, dt
+        )
+        spin = _slew(
+            turn,
+            wanted.angular_velocity_rad_s,
+            last.angular_velocity_rad_s,
+            caps.turn_rad_s,
+            caps.turn_rad_s2,
+            dt,
+        )
+        self.target = Target(
+            last.position_m + dt * velocity, turned(last.wxyz, dt * spin), velocity, spin
+        )
+        return self.target
+
+
+def rotation_between(
+    from_wxyz: NDArray[np.float64], to_wxyz: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(3,) rotation vector, in the world frame, that turns one orientation into the other the short way."""
+    if np.array_equal(from_wxyz, to_wxyz):
+        return np.zeros(3)
+    there = Rotation.from_quat(to_wxyz, scalar_first=True)
+    return (there * Rotation.from_quat(from_wxyz, scalar_first=True).inv()).as_rotvec()
+
+
+def turned(wxyz: NDArray[np.float64], rotation_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4,) an orientation after a rotation vector in the world frame; unchanged by none."""
+    if not rotation_rad.any():
+        return wxyz
+    turn = Rotation.from_rotvec(rotation_rad)
+    return (turn * Rotation.from_quat(wxyz, scalar_first=True)).as_quat(scalar_first=True)
+
+
+def _keeps(
+    away: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    last: NDArray[np.float64],
+    speed: float,
+    acceleration: float,
+    dt: float,
+) -> bool:
+    """Whether the input is where a motion within the caps could be: velocity within reach, position in keeping with it."""
+    return bool(
+        np.linalg.norm(wanted) <= speed * _ROUNDING
+        and np.linalg.norm(wanted - last) <= acceleration * dt * _ROUNDING
+        and np.linalg.norm(away - dt * wanted) <= acceleration * dt * dt * _ROUNDING
+    )
+
+
+def _slew(
+    away: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    last: NDArray[np.float64],
+    speed: float,
+    acceleration: float,
+    dt: float,
+) -> NDArray[np.float64]:
+    """Velocity towards the input within both caps."""
+    distance = float(np.linalg.norm(away))
+    # Braking is planned at half the cap, so that the other half can follow an input that moves.
+    rate = GAIN_PER_S if distance == 0.0 else min(GAIN_PER_S, np.sqrt(acceleration / distance))
+    velocity = _at_most(wanted + rate * away, speed)
+    return _at_most(last + _at_most(velocity - last, acceleration * dt), speed)
+
+
+def _at_most(vector: NDArray[np.float64], length: float) -> NDArray[np.float64]:
+    norm = float(np.linalg.norm(vector))
+    return vector if norm <= length else vector * (length / norm)
