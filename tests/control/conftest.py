@@ -7,8 +7,13 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from workcell.control.proximity import PairGeometry
+
+# How long an example takes on a busy machine says nothing about the code.
+settings.register_profile("control", deadline=None)
+settings.load_profile("control")
 
 _AXES = ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
 _LENGTHS_M = (0.2, 0.25, 0.2, 0.3, 0.2, 0.1, 0.08)
