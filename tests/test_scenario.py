@@ -8,7 +8,7 @@ from tests import cells
 from workcell import assets, scenario
 from workcell.control import feasible
 from workcell.errors import InputError
-from workcell.scene import cell as scene
+from workcell.run import prepare
 
 
 def refusal(folder, content, *overrides: str) -> str:
@@ -24,9 +24,7 @@ def refusal_of_cell(folder, content, *overrides: str) -> str:
     """The message a scenario that reads well is refused with when its cell is made and judged."""
     loaded = cells.load(folder, content, *overrides)
     with pytest.raises(InputError) as refused:
-        built = scene.build(loaded, folder / "scene")
-        scene.check_start(built)
-        feasible.check(built)
+        prepare(loaded, folder / "scene")
     assert loaded.file in str(refused.value), "every message names the file"
     return str(refused.value)
 
