@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,6 +58,16 @@ class Variations:
     def width(self) -> int:
         """How many uniform numbers a variation takes."""
         return sum(key.width for key in self.keys)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What is varied, as a parsed file."""
+        return _copy(self._content)
+
+    @property
+    def laws(self) -> dict[str, Any]:
+        """How, by key: with `content` and a seed it fixes every run."""
+        return {key.name: key.law.model_dump(mode="json") for key in self.keys}
 
     def draw(self, seed: int, run: int) -> dict[str, Any]:
         """The values of run `run` of seed `seed`, by key."""
@@ -204,12 +213,3 @@ def _copy(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _copy(v) for k, v in value.items()}
     return [_copy(v) for v in value] if isinstance(value, (list, tuple)) else value
-
-
-def load(name: str | Path, overrides: tuple[str, ...] = ()) -> Variations:
-    """The variations of a scenario given by name or path, after overrides.
-
-    Raises:
-        InputError: the scenario is refused, or cannot be varied as its `[vary]` asks.
-    """
-    return Variations(scenario_file.load(name, overrides))

@@ -1,0 +1,261 @@
+"""One varied run, from its values to a row of numbers.
+
+Comes in: a scenario, concrete. Goes out: an `Outcome`, the same on any machine of a kind, and, for
+a run that failed, the files of its run folder. A success is: every job done, nobody touched by the
+independent judge (contact.py), no halt of the final check, no fault.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from workcell import run as runner
+from workcell.errors import InputError
+from workcell.scenario import Scenario
+from workcell.scene.compose import SCENE_FILE
+from workcell.study.contact import ContactJudge
+from workcell.trace import metrics
+from workcell.trace.table import Trace, load
+
+IMPASSE_S = 2.0
+"""An unfinished arm that has made no progress for this long at the end is in an impasse; chosen longer
+than any dwell and than an arm needs to brake and start again."""
+IMPASSE_PROGRESS = 0.02
+"""Progress of the path clock below this share of time is none: at full speed 15 cm/s it is 3 mm/s."""
+WAITING_JOBS = ("wait", "dwell", "done")
+"""Jobs in which standing still is what was asked."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One run of a study: a row of its table. None where the run has no such thing."""
+
+    run: int
+    """Number of the variation, from 0."""
+    setting: str
+    """Under which setting of `--compare`; empty without."""
+    status: str
+    """`ran`; `refused` before its first tick; `fault` seen by the controller; `error`, a defect of the
+    program; `died` with its worker; `interrupted`, never in a table."""
+    reason: str = ""
+    """Why it is not `ran`, or why the final check halted it."""
+    success: bool = False
+    """Jobs done, no contact, no halt, no fault."""
+    done: bool = False
+    """Whether every support arm has done all its jobs."""
+    halted: bool = False
+    """Whether the final check has stopped the support arms."""
+    impasse: bool = False
+    """Whether a support arm stood at the end, jobs undone, unhalted."""
+    contact_cause: str = ""
+    """Whose motion closed the gap at the first contact: support, priority, both, none; empty: no contact."""
+    contact_pair: str | None = None
+    """What touched."""
+    contact_time_s: float | None = None
+    """When, s of simulated time."""
+    contact_support_m_s: float | None = None
+    """The support arms' part of the closing speed at the contact, m/s."""
+    contact_priority_m_s: float | None = None
+    """The priority arms' part, m/s."""
+    done_s: float | None = None
+    """When the last job was done, s of simulated time."""
+    smallest_m: float | None = None
+    """Smallest high-resolution distance but of tools that are meeting, m."""
+    smallest_pair: str | None = None
+    """Where."""
+    smallest_support_m: float | None = None
+    """Smallest high-resolution distance that a support arm's own motion was closing, m."""
+    smallest_ttc_s: float | None = None
+    """Smallest time to collision from measured velocities, s."""
+    smallest_support_ttc_s: float | None = None
+    """The same over pairs with a support arm, where its slowing down could still keep it, s."""
+    tool_error_m: float | None = None
+    """Largest tool error of a priority arm, m."""
+    tool_error_rad: float | None = None
+    """The same in angle, rad."""
+    jerk_rad_s3: float | None = None
+    """Largest commanded joint jerk of a support arm, rad/s^3."""
+    simulated_s: float = 0.0
+    """Simulated time, s."""
+    wall_s: float = 0.0
+    """Time it took, s; differs from machine to machine."""
+    peak_memory_mb: float = 0.0
+    """Largest memory of the worker process so far, MB; likewise."""
+
+
+VOLATILE = ("wall_s", "peak_memory_mb")
+"""Fields that are not the same on every machine and any number of workers."""
+COLUMNS = tuple(field.name for field in fields(Outcome))
+
+
+@dataclass(frozen=True)
+class Report:
+    """What comes back from a worker."""
+
+    outcome: Outcome
+    """The row."""
+    files: dict[str, bytes]
+    """Run folder of a failed run, by relative path; empty for a success."""
+
+
+def perform(run: int, setting: str, scenario: Scenario, keep_failures: bool) -> Report:
+    """Make one run in a folder of its own that is gone afterwards.
+
+    Args:
+        run, setting: Name the run in its row.
+        scenario: What to run.
+        keep_failures: Whether a run that failed brings its folder along.
+    """
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="workcell_") as temporary:
+        folder = Path(temporary)
+        outcome = _outcome(run, setting, scenario, folder, keep_failures)
+        keep = keep_failures and outcome.status in ("ran", "fault") and not outcome.success
+        files = _files(folder) if keep else {}
+    return Report(
+        Outcome(
+            **{
+                **outcome.__dict__,
+                "wall_s": time.perf_counter() - started,
+                "peak_memory_mb": _peak_memory_mb(),
+            }
+        ),
+        files,
+    )
+
+
+def _outcome(
+    run: int, setting: str, scenario: Scenario, folder: Path, keep_failures: bool
+) -> Outcome:
+    try:
+        cell = runner.prepare(scenario, folder / runner.SCENE_FOLDER)
+        judge = ContactJudge(
+            cell, folder / runner.SCENE_FOLDER / SCENE_FILE, runner.check_settings(cell)
+        )
+        ending = runner.simulate(cell, folder, watch=judge.look)
+    except InputError as error:
+        return Outcome(run, setting, "refused", reason="; ".join(error.faults))
+    if ending.interrupted:
+        return Outcome(run, setting, "interrupted")
+    if not ending.ticks:
+        return Outcome(run, setting, "fault", reason=ending.fault or "")
+    outcome = _measure(run, setting, scenario, load(folder), ending, judge)
+    if keep_failures and not outcome.success:
+        (folder / runner.SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
+        runner.conclude(cell, folder, ending)
+    return outcome
+
+
+def _measure(
+    run: int,
+    setting: str,
+    scenario: Scenario,
+    trace: Trace,
+    ending: runner.Ending,
+    judge: ContactJudge,
+) -> Outcome:
+    values = metrics.summarise(trace)
+    support = [arm.name for arm in scenario.arm if arm.job]
+    priority = [arm.name for arm in scenario.arm if not arm.job]
+    done = all(str(trace[f"{arm}.job"][-1]) == "done" for arm in support)
+    halt = None if ending.check is None else ending.check["halt"]
+    contact = judge.contact
+    return Outcome(
+        run=run,
+        setting=setting,
+        status="ran" if ending.fault is None else "fault",
+        reason=ending.fault or ("" if halt is None else str(halt["reason"])),
+        success=done and halt is None and contact is None and ending.fault is None,
+        done=done,
+        halted=halt is not None,
+        impasse=halt is None
+        and ending.fault is None
+        and any(stands_at_the_end(trace, arm) for arm in support),
+        contact_cause="" if contact is None else contact.cause,
+        contact_pair=None if contact is None else " and ".join(contact.pair),
+        contact_time_s=None if contact is None else contact.time_s,
+        contact_support_m_s=None if contact is None else contact.support_m_s,
+        contact_priority_m_s=None if contact is None else contact.priority_m_s,
+        done_s=max((done_at_s(trace, arm) for arm in support), default=0.0) if done else None,
+        smallest_m=_finite(judge.smallest_m),
+        smallest_pair=None if judge.smallest_pair is None else " and ".join(judge.smallest_pair),
+        smallest_support_m=_finite(judge.smallest_support_m),
+        smallest_ttc_s=_number(values["smallest_ttc_s"]),
+        smallest_support_ttc_s=smallest_support_ttc_s(trace, support),
+        tool_error_m=_largest(values, priority, "max_tool_error_m"),
+        tool_error_rad=_largest(values, priority, "max_tool_error_rad"),
+        jerk_rad_s3=_largest(values, support, "peak_joint_jerk_rad_s3"),
+        simulated_s=len(trace) * scenario.simulation.period_s,
+    )
+
+
+def stands_at_the_end(trace: Trace, arm: str) -> bool:
+    """Whether an arm makes no progress any more although its job asks for it."""
+    window = max(1, round(IMPASSE_S / (metrics.period_s(trace) or IMPASSE_S)))
+    if len(trace) <= window:
+        return False
+    job, path_s = trace[f"{arm}.job"][-window:].astype(str), trace[f"{arm}.path_s"][-window:]
+    if not (job == job[0]).all() or job[0] in WAITING_JOBS:
+        return False
+    return abs(float(path_s[-1] - path_s[0])) < IMPASSE_PROGRESS * IMPASSE_S
+
+
+def done_at_s(trace: Trace, arm: str) -> float:
+    """When the arm, whose jobs are done at the end of the trace, was done with them, s."""
+    undone = np.flatnonzero(trace[f"{arm}.job"].astype(str) != "done")
+    return 0.0 if not undone.size else float(trace["time_s"][undone[-1]])
+
+
+def smallest_support_ttc_s(trace: Trace, support: list[str]) -> float | None:
+    """Smallest measured time to collision that the support arms answer for, s.
+
+    Over the pairs in which one takes part and the ticks in which slowing down was enough: where
+    the other arm alone breaks the bound (reason `other_arm`), no factor could have kept it.
+    """
+    owned = [
+        any(geom.split("/")[0] in support for geom in pair) and "/" in "".join(pair)
+        for pair in trace.layout.pairs
+    ]
+    keepable = np.ones(len(trace), dtype=bool)
+    for arm in support:
+        keepable &= trace[f"{arm}.reason"].astype(str) != "other_arm"
+    distance = trace["pair_distance_m"][keepable][:, owned]
+    rate = trace["pair_rate_m_s"][keepable][:, owned]
+    closing = rate < 0.0
+    if not closing.any():
+        return None
+    return float(np.min(np.maximum(distance[closing], 0.0) / -rate[closing]))
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def _largest(values: dict[str, metrics.Metric], arms: list[str], name: str) -> float | None:
+    found = [_number(values[f"{arm}.{name}"]) for arm in arms]
+    return max((x for x in found if x is not None), default=None)
+
+
+def _number(value: metrics.Metric) -> float | None:
+    return float(value) if isinstance(value, (int, float)) else None
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _peak_memory_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Kilobytes on Linux, bytes on macOS.
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
