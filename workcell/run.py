@@ -29,7 +29,7 @@ from workcell.guard.monitor import FinalCheck
 from workcell.guard.settings import CheckSettings, Exemption
 from workcell.guard.supervisor import LatchedCheck
 from workcell.plant import Measurement
-from workcell.scenario import Meet, Scenario
+from workcell.scenario import Live, Meet, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
@@ -93,10 +93,22 @@ def run(
     Raises:
         InputError: the scenario cannot be run as it is.
     """
+    _refuse_live(scenario)
     cell = prepare(scenario, out / SCENE_FOLDER)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     ending = simulate(cell, out, progress=progress)
     return conclude(cell, out, ending)
+
+
+def _refuse_live(scenario: Scenario) -> None:
+    """Nobody sits at the other end of a headless run."""
+    faults = [
+        f"arm.{arm.name}.operator.kind = 'live': needs a person; use `workcell teleop`, or give a recording with --set arm.{arm.name}.operator.file=FILE"
+        for arm in scenario.arm
+        if isinstance(arm.operator, Live)
+    ]
+    if faults:
+        raise InputError(faults, file=scenario.file)
 
 
 def prepare(scenario: Scenario, folder: Path) -> Cell:
@@ -112,7 +124,7 @@ def simulate(
     out: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
-    watch: Callable[[int, mujoco.MjData, Controller], None] | None = None,
+    watch: Callable[[int, mujoco.MjData, Controller], bool | None] | None = None,
 ) -> Ending:
     """Step the plant with the controller in its callback; every tick becomes a row of the trace.
 
@@ -120,8 +132,8 @@ def simulate(
         cell: What is simulated.
         out: Run folder that holds the scene; the trace is written into it.
         progress: Called with (ticks done, ticks of a full run) now and then.
-        watch: Called before every tick with its number, the plant's true state and the controller,
-            neither of which it may change.
+        watch: Called before every tick with its number, the plant's true state, which it may not
+            change, and the controller, to which it may offer samples and changes; True ends the run.
     """
     scenario = cell.scenario
     data = mujoco.MjData(cell.model)
@@ -135,8 +147,8 @@ def simulate(
         stack.enter_context(installed(controller, measurement, data))
         try:
             for tick in range(scenario.ticks):
-                if watch:
-                    watch(tick, data, controller)
+                if watch and watch(tick, data, controller):
+                    break
                 step(cell, controller, data)
                 trace.append(controller.record)
                 if progress and tick % 250 == 0:
@@ -314,12 +326,22 @@ def installed(
 
 def _step_dynamic(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
     """One control period of MuJoCo's dynamics; the callback fires inside."""
+    _carry(cell, controller, data)
     mujoco.mj_step(cell.model, data)
 
 
 def _step_kinematic(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
     """One control period in which every joint does exactly what it was commanded."""
+    _carry(cell, controller, data)
     mujoco.mj_forward(cell.model, data)
     data.qvel[:] = controller.record.command_rad_s
     mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), cell.period_s)
     data.time += cell.period_s
+
+
+def _carry(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
+    """Held instruments are where their tools are; their weight is too small to be felt by an arm."""
+    if cell.instruments:
+        mujoco.mj_kinematics(cell.model, data)
+        mujoco.mj_comPos(cell.model, data)
+        controller.grasps.carry(data)

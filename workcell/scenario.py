@@ -70,13 +70,16 @@ class Simulation(_Table):
     dropped_fraction: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
 
 
+Criterion = Literal["artc", "artc_approaching", "armd", "none"]
+
+
 class Control(_Table):
     """Parameters of the controller; docs/scenario.md gives the reason for each default."""
 
     t_min_s: Positive = 1.0
     d_min_m: Positive = 0.01
     standoff_m: NonNegative = 0.0
-    criterion: Literal["artc", "artc_approaching", "armd", "none"] = "artc"
+    criterion: Criterion = "artc"
     order: Literal[1, 2] = 1
     variant: Literal["relative", "static"] = "relative"
     criterion_gain: NonNegative = 8.0
@@ -171,22 +174,54 @@ class Live(_Followed):
 Operator = Annotated[Hold | Waypoints | Recording | Human | Live, Field(discriminator="kind")]
 
 
-class Move(_Table):
-    """Move the tool along waypoints; `acceleration_m_s2` bounds the start and the end of the move."""
+class _Motion(_Table):
+    """What every job with a path has; the acceleration bounds its start and its end."""
 
-    kind: Literal["move"]
-    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.15
     acceleration_m_s2: Positive = 0.5
 
 
-class Meet(_Table):
+class Move(_Motion):
+    """Move the tool along waypoints."""
+
+    kind: Literal["move"]
+    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    free_rotation: bool = False
+
+
+class Meet(_Motion):
     """Approach another arm's tool until the two tools are d_min apart, then dwell."""
 
     kind: Literal["meet"]
     arm: Name
-    speed_m_s: Positive = 0.15
-    acceleration_m_s2: Positive = 0.5
+    dwell_s: NonNegative = 0.5
+
+
+class Fetch(_Motion):
+    """Take an instrument from where it lies, from above."""
+
+    kind: Literal["fetch"]
+    instrument: Name
+    dwell_s: NonNegative = 0.5
+
+
+class Present(_Motion):
+    """Bring the tool, or the instrument it holds, before another arm's tool, from a side seen from that arm's base."""
+
+    kind: Literal["present"]
+    arm: Name
+    entry: Entry = "left"
+    distance_m: Positive = 0.15
+    free_rotation: bool = False
+
+
+class Exchange(_Motion):
+    """Hand an instrument to another arm's tool, or take it from there."""
+
+    kind: Literal["exchange"]
+    arm: Name
+    instrument: Name
+    direction: Literal["give", "take"]
     dwell_s: NonNegative = 0.5
 
 
@@ -197,15 +232,16 @@ class Wait(_Table):
     duration_s: Positive
 
 
-class Retreat(_Table):
+class Retreat(_Motion):
     """Go back along the path travelled since the start of the sequence."""
 
     kind: Literal["retreat"]
-    speed_m_s: Positive = 0.15
-    acceleration_m_s2: Positive = 0.5
+    free_rotation: bool = False
 
 
-Job = Annotated[Move | Meet | Wait | Retreat, Field(discriminator="kind")]
+Job = Annotated[
+    Move | Meet | Fetch | Present | Exchange | Wait | Retreat, Field(discriminator="kind")
+]
 
 
 class Arm(_Table):
@@ -223,6 +259,7 @@ class Arm(_Table):
     acceleration_limit_rad_s2: tuple[Positive, ...] | None = None
     operator: Operator | None = None
     job: tuple[Job, ...] = ()
+    job_repeat: Annotated[int, Field(ge=1)] = 1
 
     @model_validator(mode="after")
     def _driven_by_one(self) -> Arm:
@@ -257,6 +294,26 @@ class Obstacle(_Table):
         return self
 
 
+class Instrument(_Table):
+    """A rod that arms can hold: a capsule along its own z axis. It lies where it is placed, or an arm holds it from the start."""
+
+    name: Name
+    radius_m: Positive = 0.008
+    half_length_m: Positive = 0.07
+    mass_kg: Positive = 0.1
+    position_m: Vector3 | None = None
+    wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    held_by: Name | None = None
+    rests_on: tuple[Name, ...] = ()
+    rgba: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.85, 0.65, 0.2, 1.0)
+
+    @model_validator(mode="after")
+    def _is_somewhere(self) -> Instrument:
+        if (self.position_m is None) == (self.held_by is None):
+            raise ValueError("an instrument either lies at position_m or is held_by an arm")
+        return self
+
+
 class Bound(_Table):
     """What a metric of the summary must be: an exact value, or a range."""
 
@@ -269,6 +326,25 @@ class Bound(_Table):
         if self.min is None and self.max is None and self.equals is None:
             raise ValueError("a bound needs min, max or equals")
         return self
+
+
+class Change(_Table):
+    """Parameters of `[control]` that change while the scenario runs, as a person changes them in `workcell teleop`."""
+
+    time_s: NonNegative
+    t_min_s: Positive | None = None
+    criterion: Criterion | None = None
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> Change:
+        if not self.settings:
+            raise ValueError("a change needs t_min_s or criterion")
+        return self
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The keys of `[control]` it sets."""
+        return self.model_dump(exclude={"time_s"}, exclude_none=True)
 
 
 def _as_bound(value: Any) -> Any:
@@ -333,6 +409,29 @@ class Variation(_Table):
         return self
 
 
+def _known(name: str | None, allowed: list[str], where: str, what: str) -> None:
+    if name is not None and name not in allowed:
+        raise ValueError(
+            f"{where}: {name!r} is not {what} of this scenario; allowed: {', '.join(allowed) or 'there is none'}"
+        )
+
+
+def _carry(holder: dict[str, str | None], arm: str, job: Fetch | Exchange, where: str) -> None:
+    """Follow one arm's jobs with the instruments: nobody gives what it does not hold, or takes with a full hand."""
+    if isinstance(job, Fetch):
+        giver, taker = None, arm
+    else:
+        giver, taker = (arm, job.arm) if job.direction == "give" else (job.arm, arm)
+    if holder[job.instrument] != giver:
+        has = holder[job.instrument] or "nobody"
+        raise ValueError(
+            f"{where}: {job.instrument} must be held by {giver or 'nobody'} then, but {has} holds it"
+        )
+    if taker in holder.values():
+        raise ValueError(f"{where}: {taker} holds an instrument already")
+    holder[job.instrument] = taker
+
+
 class Scenario(_Table):
     """A whole scenario file, resolved: every default is filled in."""
 
@@ -344,6 +443,8 @@ class Scenario(_Table):
     sabotage: Sabotage = Sabotage()
     arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
     obstacle: tuple[Obstacle, ...] = ()
+    instrument: tuple[Instrument, ...] = ()
+    change: tuple[Change, ...] = ()
     expect: dict[str, Annotated[Bound, BeforeValidator(_as_bound)]] = {}
     vary: dict[str, Variation] = {}
     _file: Path | None = PrivateAttr(None)
@@ -352,17 +453,33 @@ class Scenario(_Table):
     def _fits_together(self) -> Scenario:
         _unique(self.arm, "arm")
         _unique(self.obstacle, "obstacle")
-        names = [arm.name for arm in self.arm]
-        for obstacle in self.obstacle:
-            if obstacle.name in names:
-                raise ValueError(f"obstacle {obstacle.name} has the name of an arm")
+        _unique(self.instrument, "instrument")
+        arms = [arm.name for arm in self.arm]
+        for thing in (*self.obstacle, *self.instrument):
+            if thing.name in arms:
+                raise ValueError(
+                    f"{thing.name} is the name of an arm and of an obstacle or instrument"
+                )
+        obstacles = [obstacle.name for obstacle in self.obstacle]
+        holder: dict[str, str | None] = {}
+        for item in self.instrument:
+            _known(item.held_by, arms, f"instrument {item.name}: held_by", "an arm")
+            for support in item.rests_on:
+                _known(support, obstacles, f"instrument {item.name}: rests_on", "an obstacle")
+            if item.held_by is not None and item.held_by in holder.values():
+                raise ValueError(
+                    f"instrument {item.name}: {item.held_by} holds another one already"
+                )
+            holder[item.name] = item.held_by
         for arm in self.arm:
-            for job in arm.job:
-                if isinstance(job, Meet) and (job.arm not in names or job.arm == arm.name):
-                    others = ", ".join(n for n in names if n != arm.name) or "there is none"
-                    raise ValueError(
-                        f"arm {arm.name}: job meet: arm {job.arm!r} is not another arm of this scenario ({others})"
-                    )
+            others = [name for name in arms if name != arm.name]
+            for index, job in enumerate(arm.job * arm.job_repeat):
+                where = f"arm {arm.name}: job {index % len(arm.job)} ({job.kind})"
+                if isinstance(job, (Meet, Present, Exchange)):
+                    _known(job.arm, others, f"{where}: arm", "another arm")
+                if isinstance(job, (Fetch, Exchange)):
+                    _known(job.instrument, list(holder), f"{where}: instrument", "an instrument")
+                    _carry(holder, arm.name, job, where)
         return self
 
     @property
@@ -580,6 +697,9 @@ _TAGGED = {
     "live": Live,
     "move": Move,
     "meet": Meet,
+    "fetch": Fetch,
+    "present": Present,
+    "exchange": Exchange,
     "wait": Wait,
     "retreat": Retreat,
 }

@@ -16,6 +16,7 @@ operator has priority: it is not, and its tool never gives way to the null space
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import mink
 import mujoco
@@ -23,7 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control import criteria, ttc
+from workcell.control.criteria import NullspaceObjective
+from workcell.control.grasp import Grasps
 from workcell.control.ik import ArmIk, IkSolution
+from workcell.control.ladder import Ladder
 from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.scaling import (
     FactorGovernor,
@@ -31,13 +35,16 @@ from workcell.control.scaling import (
     acceleration_interval,
     pairwise_factor,
 )
+from workcell.control.second_order import second_order
 from workcell.control.servo import ServoCommand
 from workcell.errors import ControlFault
 from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
-from workcell.motion.jobs import JobSequence, Surroundings
+from workcell.motion.jobs import Instrument, JobSequence, Meeting, Surroundings
 from workcell.motion.operator import make_operator
 from workcell.motion.path import Target, standing
+from workcell.motion.wish import Operator
+from workcell.scenario import Control
 from workcell.scene.cell import Cell
 from workcell.scene.handles import ArmHandles
 
@@ -51,7 +58,13 @@ AT_REST_M_S = 1e-4
 tool error, which may point either way, and must not be held for that."""
 LEAVING_FACTOR = 2.0
 """An arm that could go this many times faster before any pair limited it is leaving: its factor need not rise slowly."""
-MODES = ("run", "self_motion", "scale", "hold", "halt", "stop")
+PRESSED_M_S = 1e-3
+"""Opening rate another arm's motion must leave missing before this arm gives way; above servo noise, below any intent."""
+REJOIN_M = 0.02
+"""Off its path by more than this, after giving way, an arm first comes back before the path's clock goes on."""
+ELBOW_PUSH = 0.25
+"""Strength of the push to one side; chosen so that the elbow swings at about 0.5 rad/s at the default criterion gain."""
+MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
 
 
@@ -61,6 +74,8 @@ class ArmRecord:
 
     target_position_m: NDArray[np.float64]
     target_wxyz: NDArray[np.float64]
+    target_velocity_m_s: NDArray[np.float64]
+    target_turn_rad_s: NDArray[np.float64]
     job: str
     path_s: float
     tool_position_m: NDArray[np.float64]
@@ -76,6 +91,7 @@ class ArmRecord:
     scale: float = 1.0
     limiting_pair: int | None = None
     reason: str = ""
+    attempt: str = ""
     mode: str = "run"
 
 
@@ -89,6 +105,8 @@ class TickRecord:
     qvel: NDArray[np.float64]
     pair_distance_m: NDArray[np.float64]
     pair_rate_m_s: NDArray[np.float64]
+    t_min_s: float
+    criterion: str
     closest_pair: int | None
     ttc_s: float | None
     ttc_pair: int | None
@@ -99,6 +117,8 @@ class TickRecord:
     ttc_command_s: float | None = None
     check_distance_m: float | None = None
     check_state: str = "off"
+    closing_cause: str = ""
+    holders: str = ""
     mode: str = "run"
     arms: dict[str, ArmRecord] = field(default_factory=dict)
 
@@ -120,11 +140,22 @@ class _Arm:
             criterion_gain=control.criterion_gain,
         )
         self.servo = ServoCommand(handles, dt_s=dt)
+        self.ladder = Ladder(period_s=dt, yields=control.yields, resolves=control.resolves_impasse)
+        self.attempt = ""
         self.governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=dt)
         pose = configuration.get_transform_frame_to_world(handles.tool_site_name, "site")
         position, wxyz = pose.translation(), pose.rotation().wxyz
         self.jobs = (
-            JobSequence(settings.job, position, wxyz, control.d_min_m) if self.support else None
+            JobSequence(
+                settings.job,
+                arm=handles.name,
+                position_m=position,
+                wxyz=wxyz,
+                d_min_m=control.d_min_m,
+                repeat=settings.job_repeat,
+            )
+            if self.support
+            else None
         )
         self.operator = (
             None
@@ -138,30 +169,33 @@ class _Arm:
                 period_s=dt,
             )
         )
-        owners = cell.pairs.owners
-        self.all_pairs = np.array(
-            [k for k, pair in enumerate(owners) if handles.name in pair], dtype=np.intp
-        )
-        self.criterion_pairs = np.array(
-            [k for k in self.all_pairs if owners[k][0] != owners[k][1]], dtype=np.intp
-        )
+        none = np.array([], dtype=np.intp)
+        self.all_pairs = none
+        """Pairs this arm's motion changes."""
+        self.criterion_pairs = none
         """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
-        self.owned_pairs = np.array([], dtype=np.intp)
-        """Pairs this arm answers for by slowing down; set once the order of the arms is known."""
-        self.tool_pairs: dict[str, list[int]] = {}
-        """Pairs of this arm's tool with another arm's tool, by the other's name."""
+        self.owned_pairs = none
+        """Pairs this arm answers for by slowing down."""
         self.jacobian = np.zeros((6, nv))
         self.target: Target = standing(position, wxyz)
+        self.elbow_speed_m_s = 0.0
+        """Speed at which the operator wants the elbow to swing to the left."""
         self.command_rad_s = np.zeros(len(handles.dofs))
         self.wanted_rad_s = np.zeros(len(handles.dofs))
         self.task_rad_s = np.zeros(len(handles.dofs))
         self.factor = 1.0
+        self.tried_entry = False
+        """Whether another entry has been tried in the present attempt."""
+        base = cell.model.body_rootid[cell.model.site_bodyid[handles.tool_site]]
+        self.base_position_m = configuration.data.xpos[base].copy()
 
     @property
     def window(self) -> str | None:
         """Name of the final check's exemption that the present job holds open."""
-        partner = None if self.jobs is None else self.jobs.meeting
-        return None if partner is None else f"{self.handles.name}_{partner}"
+        meeting = None if self.jobs is None else self.jobs.meeting
+        if meeting is None:
+            return None
+        return f"{self.handles.name}_{meeting.arm or meeting.instrument}"
 
 
 class Controller:
@@ -177,21 +211,39 @@ class Controller:
         self._check = check
         self.tick = 0
         self._dt = cell.period_s
-        self._settings = cell.scenario.control
+        self._settings: Control = cell.scenario.control
+        self._changes = sorted(cell.scenario.change, key=lambda change: change.time_s)
         self._belief = mink.Configuration(cell.model)
         cell.place_home(self._belief.data)
         self._belief.update()
         self._geometry = PairGeometry(
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
         )
+        self.grasps = Grasps(cell, self._belief.data)
         self._arms = [_Arm(cell, handles, self._belief) for handles in cell.arms]
         self._priority = [arm for arm in self._arms if not arm.support]
         self._support = sorted(
             (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
         )
+        self._instrument_geom = {item.name: item.geom for item in cell.instruments}
+        self._silent = np.zeros(len(cell.pairs), dtype=bool)
         self._share_pairs()
         self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
+
+    @property
+    def operators(self) -> dict[str, Operator]:
+        """The operators by the name of their arm."""
+        return {arm.handles.name: arm.operator for arm in self._arms if arm.operator is not None}
+
+    @property
+    def settings(self) -> Control:
+        """The parameters in force."""
+        return self._settings
+
+    def tune(self, **settings: Any) -> None:
+        """Change parameters of `[control]` from the next tick on; what may change is `scenario.Change`."""
+        self._settings = self._settings.model_copy(update=settings)
 
     @property
     def record(self) -> TickRecord:
@@ -226,6 +278,8 @@ class Controller:
         Raises:
             ControlFault: a state, target or solution is not finite.
         """
+        while self._changes and self._changes[0].time_s <= self.tick * self._dt:
+            self.tune(**self._changes.pop(0).settings)
         record, proximity = self._measure(np.array(qpos), np.array(qvel))
         self._ask(record)
         self._follow(record, proximity)
@@ -252,14 +306,17 @@ class Controller:
         mujoco.mj_comVel(model, belief.data)
         mujoco.mj_sensorPos(model, belief.data)
         proximity = self._geometry.measure(belief.data)
+        proximity = replace(proximity, jacobian=self.grasps.fold(belief.data, proximity.jacobian))
         rate = proximity.rate_m_s(qvel)
         kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
         if self._settings.order == 2:
-            second = self._geometry.second_order(belief.data, proximity, np.zeros(model.nv))
+            second = second_order(self._geometry, belief.data, proximity, np.zeros(model.nv))
             self._accel_m_s2 = second.accel_m_s2
             kappa = ttc.reciprocal_second_order(proximity.distance_m, rate, second.accel_m_s2)
+        kappa[self._silent] = 0.0
         first = ttc.smallest(kappa)
-        closest = int(np.argmin(proximity.distance_m)) if len(rate) else None
+        shown_distance = np.where(self._silent, np.inf, proximity.distance_m)
+        closest = int(np.argmin(shown_distance)) if len(rate) else None
         shown = first.pair if first.pair >= 0 else closest
         record = TickRecord(
             tick=self.tick,
@@ -268,6 +325,8 @@ class Controller:
             qvel=qvel,
             pair_distance_m=proximity.distance_m,
             pair_rate_m_s=rate,
+            t_min_s=self._settings.t_min_s,
+            criterion=self._settings.criterion,
             closest_pair=closest,
             ttc_s=_or_none(first.ttc_s),
             ttc_pair=None if first.pair < 0 else first.pair,
@@ -295,6 +354,8 @@ class Controller:
         return ArmRecord(
             target_position_m=arm.target.position_m,
             target_wxyz=arm.target.wxyz,
+            target_velocity_m_s=arm.target.velocity_m_s,
+            target_turn_rad_s=arm.target.angular_velocity_rad_s,
             job="",
             path_s=0.0,
             tool_position_m=data.site_xpos[handles.tool_site].copy(),
@@ -339,26 +400,22 @@ class Controller:
 
     def _follow(self, record: TickRecord, proximity: Proximity) -> None:
         """Advance every driver and hand its target to the inverse kinematics."""
-        tools = {name: arm.tool_position_m for name, arm in record.arms.items()}
         for arm in self._arms:
             row = record.arms[arm.handles.name]
             if arm.jobs is not None:
                 if self.tick:
-                    arm.jobs.advance(
-                        self._dt,
-                        arm.factor,
-                        Surroundings(tools, self._tool_distances(arm, proximity)),
-                    )
+                    self._advance(arm, arm.jobs, record, proximity)
                 arm.target = arm.jobs.target()
                 row.job, row.path_s = arm.jobs.name, arm.jobs.clock_s
                 if arm.jobs.switched:
                     # The new path starts from rest: acceleration now counts from what was really commanded.
                     arm.wanted_rad_s = arm.command_rad_s
+                    arm.ladder.restart()
             elif arm.operator is not None:
                 wish = arm.operator.wish(record.time_s)
                 arm.target = wish.target
                 row.job, row.path_s = wish.doing, record.time_s
-                row.operator_state = wish.state
+                row.operator_state, arm.elbow_speed_m_s = wish.state, wish.elbow_speed_m_s
             for value in (
                 arm.target.position_m,
                 arm.target.wxyz,
@@ -367,9 +424,50 @@ class Controller:
             ):
                 self._finite(value, f"the tool target of arm {arm.handles.name} from {row.job}")
             row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
+            row.target_velocity_m_s = arm.target.velocity_m_s
+            row.target_turn_rad_s = arm.target.angular_velocity_rad_s
             row.tool_error_m = float(np.linalg.norm(row.tool_position_m - row.target_position_m))
             row.tool_error_rad = _angle(row.tool_wxyz, row.target_wxyz)
-            arm.task_rad_s = arm.ik.aim(self._belief, arm.target)
+            arm.task_rad_s = arm.ik.aim(
+                self._belief,
+                arm.target,
+                catch_up_m_s=self._settings.catch_up_m_s if arm.support else np.inf,
+                free_rotation=arm.attempt == "free_rotation"
+                or (arm.jobs is not None and arm.jobs.free_rotation),
+            )
+        record.holders = self.grasps.summary()
+
+    def _advance(
+        self, arm: _Arm, jobs: JobSequence, record: TickRecord, proximity: Proximity
+    ) -> None:
+        """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
+        around = self._around(arm, record, proximity)
+        off_path = float(
+            np.linalg.norm(record.arms[arm.handles.name].tool_position_m - arm.target.position_m)
+        )
+        jobs.advance(
+            self._dt, 0.0 if off_path > REJOIN_M and arm.factor > 0.0 else arm.factor, around
+        )
+        if arm.attempt == "back_off" and not arm.tried_entry:
+            arm.tried_entry = jobs.try_another_entry(around)
+        if jobs.hand_over is not None:
+            self.grasps.take(jobs.hand_over.instrument, jobs.hand_over.to, self._belief.data)
+            self._share_pairs()
+
+    def _around(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> Surroundings:
+        data = self._belief.data
+        instruments = {}
+        for item in self.cell.instruments:
+            axis = item.half_length_m * data.xmat[item.body].reshape(3, 3)[:, 2]
+            instruments[item.name] = Instrument(
+                data.xpos[item.body].copy(), axis, self.grasps.holder(item.name)
+            )
+        return Surroundings(
+            tool_position_m={name: row.tool_position_m for name, row in record.arms.items()},
+            base_position_m={other.handles.name: other.base_position_m for other in self._arms},
+            instruments=instruments,
+            meeting_distance_m=self._meeting_distance_m(arm, proximity),
+        )
 
     def _plan(self) -> None:
         """What others may count on: a priority arm does what its operator asks, and no self-motion that helps them."""
@@ -394,20 +492,57 @@ class Controller:
         owned = arm.owned_pairs
         own = proximity.jacobian[np.ix_(owned, arm.dofs)] @ arm.wanted_rad_s
         bound = self._bound(arm, proximity, own, other[owned])
+        rung = arm.ladder.climb(
+            pressed=bound.shortfall_m_s > PRESSED_M_S,
+            factor=bound.factor,
+            clock_s=0.0 if arm.jobs is None else arm.jobs.clock_s,
+            moving=arm.jobs is not None and arm.jobs.moving,
+        )
+        arm.attempt = row.attempt = rung.attempt
+        arm.tried_entry = arm.tried_entry and rung.attempt == "back_off"
+        row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
+        if rung.yielding:
+            self._yield(arm, row, proximity, other)
+            return
+        if rung.attempt == "back_off":
+            arm.wanted_rad_s, own = -arm.wanted_rad_s, -own
+            bound = self._bound(arm, proximity, own, other[owned])
         interval = acceleration_interval(
             arm.command_rad_s, arm.wanted_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
         )
         choice = arm.governor.choose(
             bound.factor, interval, leaving=bound.required >= LEAVING_FACTOR
         )
-        arm.factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
-        arm.command_rad_s = arm.factor * arm.wanted_rad_s
+        factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
+        arm.command_rad_s = factor * arm.wanted_rad_s
+        arm.factor = -factor if rung.attempt == "back_off" else factor
         row.scale = arm.factor
-        row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
         row.reason = "" if choice.limiter == "none" else choice.limiter
         if bound.shortfall_m_s > 0.0:
             row.reason = "other_arm"
         row.mode = self._mode_of_support(arm, row, proximity)
+
+    def _yield(
+        self, arm: _Arm, row: ArmRecord, proximity: Proximity, other: NDArray[np.float64]
+    ) -> None:
+        """Give way: back along the path if that is enough, else so that the near pairs open.
+
+        Times count to d_min here, so that an arm that can move fast enough is never nearer. No pair
+        is brought below t_min to open another, unless the joint limits leave no other way.
+        """
+        rows = proximity.jacobian[np.ix_(arm.all_pairs, arm.dofs)]
+        gap = proximity.distance_m[arm.all_pairs] - self._settings.d_min_m
+        needed = -gap / self._settings.t_min_s - other[arm.all_pairs]
+        back = _backing_factor(rows @ arm.wanted_rad_s, needed)
+        preferred = np.zeros(len(arm.dofs)) if back is None else back * arm.wanted_rad_s
+        velocity = arm.ik.evade(self._belief, arm.command_rad_s, preferred, rows, needed)
+        if velocity is None:
+            velocity = brake(arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
+            row.ik_status = "stopped"
+        arm.command_rad_s = arm.wanted_rad_s = velocity
+        arm.governor.reset()
+        arm.factor = row.scale = back or 0.0
+        row.reason, row.mode = "other_arm", "yield"
 
     def _bound(
         self, arm: _Arm, proximity: Proximity, own: NDArray[np.float64], other: NDArray[np.float64]
@@ -425,16 +560,22 @@ class Controller:
         )
         if self._accel_m_s2 is None:
             return bound
-        first = ttc.smallest(
+        # Only pairs this arm closes itself can be held by slowing down; leaving is not slowed either way.
+        second = np.where(
+            own < 0.0,
             ttc.reciprocal_second_order(
                 counted,
                 own + other,
                 self._accel_m_s2[arm.owned_pairs],
                 standoff_m=settings.standoff_m,
-            )
+            ),
+            0.0,
         )
+        first = ttc.smallest(second)
         factor = min(1.0, first.ttc_s / settings.t_min_s)
-        return replace(bound, factor=factor, pair=first.pair if factor < 1.0 else -1)
+        if factor >= bound.factor:
+            return bound
+        return replace(bound, factor=factor, pair=first.pair, required=factor)
 
     def _give_way(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
         """A priority arm: what its operator asks, plus self-motion that endangers nothing."""
@@ -455,8 +596,18 @@ class Controller:
             record.wanted_rad_s[arm.dofs] = arm.wanted_rad_s
             record.command_rad_s[arm.dofs] = arm.command_rad_s
         rate = proximity.rate_m_s(record.command_rad_s)
-        first = ttc.smallest(ttc.reciprocal_first_order(proximity.distance_m, rate))
+        kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
+        kappa[self._silent] = 0.0
+        first = ttc.smallest(kappa)
         record.ttc_command_s = _or_none(first.ttc_s)
+        if first.pair >= 0:
+            share = {
+                arm.handles.name: float(
+                    proximity.jacobian[first.pair, arm.dofs] @ arm.command_rad_s
+                )
+                for arm in self._arms
+            }
+            record.closing_cause = min(share, key=share.__getitem__)
         record.mode = max((row.mode for row in record.arms.values()), key=MODES.index)
 
     # ---------------------------------------------------------------- parts of the stages
@@ -469,19 +620,13 @@ class Controller:
         A row forbids what would bring a pair below t_min, but never asks for more than the tool
         task alone gives: what the path or the operator wants is not the null space's to refuse.
         """
-        settings, pairs = self._settings, arm.criterion_pairs
+        settings = self._settings
         own_rate = (
             record.pair_rate_m_s
             if not arm.support
             else proximity.jacobian[:, arm.dofs] @ record.qvel[arm.dofs]
         )
-        objective = criteria.objective(
-            settings.criterion,
-            proximity.distance_m[pairs],
-            own_rate[pairs],
-            proximity.jacobian[np.ix_(pairs, arm.dofs)],
-            other_rate_m_s=other[pairs],
-        )
+        objective = self._criterion(arm, proximity, own_rate, other)
         rows = proximity.jacobian[np.ix_(arm.all_pairs, arm.dofs)]
         distance = proximity.distance_m[arm.all_pairs] - settings.standoff_m
         allowed = (
@@ -497,6 +642,41 @@ class Controller:
             )
         except FloatingPointError as error:
             raise ControlFault(self.tick, str(error)) from error
+
+    def _criterion(
+        self,
+        arm: _Arm,
+        proximity: Proximity,
+        own_rate: NDArray[np.float64],
+        other: NDArray[np.float64],
+    ) -> NullspaceObjective:
+        """What the arm's null space is for now: the scenario's criterion, or a push of the elbow to one side."""
+        if arm.attempt in ("elbow_left", "elbow_right") and arm.handles.elbow_site is not None:
+            return self._elbow_push(arm, 1.0 if arm.attempt == "elbow_left" else -1.0)
+        pairs = arm.criterion_pairs
+        return criteria.objective(
+            self._settings.criterion,
+            proximity.distance_m[pairs],
+            own_rate[pairs],
+            proximity.jacobian[np.ix_(pairs, arm.dofs)],
+            other_rate_m_s=other[pairs],
+        )
+
+    def _elbow_push(self, arm: _Arm, side: float) -> NullspaceObjective:
+        """Swing the elbow sideways, left as seen from the base towards the tool."""
+        model, data = self.cell.model, self._belief.data
+        elbow = arm.handles.elbow_site
+        body = model.site_bodyid[elbow]
+        base = data.xpos[model.body_rootid[body]]
+        forward = data.site_xpos[arm.handles.tool_site] - base
+        left = np.array([-forward[1], forward[0], 0.0])
+        left /= max(float(np.linalg.norm(left)), 1e-9)
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, data.site_xpos[elbow], body)
+        n = len(arm.dofs)
+        return NullspaceObjective(
+            np.zeros((n, n)), -side * ELBOW_PUSH * left @ jacobian[:, arm.dofs]
+        )
 
     def _rate_of_others(self, arm: _Arm, proximity: Proximity) -> NDArray[np.float64]:
         """(P,) the part of each pair's rate that the other arms' present commands cause."""
@@ -519,43 +699,73 @@ class Controller:
             return "halt" if proximity.distance_m[limiting] <= self._settings.d_min_m else "scale"
         return "run"
 
-    def _tool_distances(self, arm: _Arm, proximity: Proximity) -> dict[str, float]:
-        """Smallest distance between the arm's tool and each other arm's tool."""
-        return {
-            name: float(proximity.distance_m[pairs].min()) for name, pairs in arm.tool_pairs.items()
-        }
+    def _meeting_distance_m(self, arm: _Arm, proximity: Proximity) -> float:
+        """Smallest distance between what the arm's present job brings together."""
+        meeting = None if arm.jobs is None else arm.jobs.meeting
+        if meeting is None:
+            return np.inf
+        name = arm.handles.name
+        distances = [
+            proximity.distance_m[k]
+            for k in arm.all_pairs
+            if self._meets(meeting, name, *map(int, self.cell.pairs.geoms[k]))
+        ]
+        return float(min(distances, default=np.inf))
+
+    def _meets(self, meeting: Meeting, name: str, g: int, h: int) -> bool:
+        """Whether one geom is of this arm's hand and the other of what it is to meet."""
+        for mine, theirs in ((g, h), (h, g)):
+            if not self.grasps.part_of_hand(mine, name):
+                continue
+            if meeting.arm is not None and self.grasps.part_of_hand(theirs, meeting.arm):
+                return True
+            if meeting.arm is None and theirs == self._instrument_geom.get(meeting.instrument):
+                return True
+        return False
 
     def _share_pairs(self) -> None:
         """Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
 
         Between two arms it is the support arm, of two support arms the one with the higher priority
-        number, of equals the later in the scenario.
+        number, of equals the later in the scenario. Done again whenever an instrument changes hands.
         """
-        model, pairs = self.cell.model, self.cell.pairs
         rank = {
             arm.handles.name: (arm.support, arm.handles.priority, index)
             for index, arm in enumerate(self._arms)
         }
-        tool_body = {
-            arm.handles.name: model.site_bodyid[arm.handles.tool_site] for arm in self._arms
-        }
+        parties = [self.grasps.parties(k) for k in range(len(self.cell.pairs))]
+        self._silent = np.array([not names for names in parties], dtype=bool)
         for arm in self._arms:
             name = arm.handles.name
-            for k, owners in enumerate(pairs.owners):
-                parties = [owner for owner in owners if owner is not None]
-                if arm.support and name in parties and name == max(parties, key=rank.__getitem__):
-                    arm.owned_pairs = np.append(arm.owned_pairs, k)
-                if name in parties and all(
-                    owner is not None and model.geom_bodyid[g] == tool_body[owner]
-                    for g, owner in zip(pairs.geoms[k], owners, strict=True)
-                ):
-                    for other in parties:
-                        if other != name:
-                            arm.tool_pairs.setdefault(other, []).append(k)
+            mine = [k for k, names in enumerate(parties) if name in names]
+            owners = self.cell.pairs.owners
+            arm.all_pairs = np.array(mine, dtype=np.intp)
+            arm.criterion_pairs = np.array(
+                [k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp
+            )
+            arm.owned_pairs = np.array(
+                [k for k in mine if arm.support and name == max(parties[k], key=rank.__getitem__)],
+                dtype=np.intp,
+            )
 
     def _finite(self, values: NDArray[np.float64], what: str) -> None:
         if not np.isfinite(values).all():
             raise ControlFault(self.tick, f"{what}, is not finite: {np.asarray(values).tolist()}")
+
+
+def _backing_factor(own_m_s: NDArray[np.float64], needed_m_s: NDArray[np.float64]) -> float | None:
+    """The mildest factor in [-1, 0] that gives every pair the rate it needs; None if there is none.
+
+    Args:
+        own_m_s: (R,) rates at factor 1.
+        needed_m_s: (R,) smallest rate of each pair.
+    """
+    closing, opening = own_m_s < 0.0, own_m_s > 0.0
+    if (needed_m_s[~closing & ~opening] > 0.0).any():
+        return None
+    highest = np.min(needed_m_s[closing] / own_m_s[closing], initial=0.0)
+    lowest = np.max(needed_m_s[opening] / own_m_s[opening], initial=-1.0)
+    return float(highest) if lowest <= highest else None
 
 
 def _or_none(value: float) -> float | None:

@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.proximity import PairGeometry
-from workcell.motion.path import Target
+from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
 from workcell.scene.handles import ArmHandles
 
 SOLVER_TOLERANCE_RAD_S = 1e-9
 """How far a constraint may be missed; far below what an encoder sees."""
-_SOLVED = 1  # daqp's exit flag for an optimal solution; every other one is a failure
+_SOLVED, _SOLVED_SOFT = 1, 2  # daqp's exit flags: optimal; optimal with a soft constraint missed
 _UNBOUNDED = 1e30  # daqp's infinity
-_EQUALITIES = np.full(6, 5, dtype=np.intc)  # daqp's mark of an equality constraint
+_EQUALITY, _SOFT = 5, 8  # daqp's marks of constraints: met exactly; violated as little as need be
 TASK_COST = 1e3
 """Weight of the tool task where it cannot be an equality, against 1 for the motion of the joints: the
 tool then gives way by about 1e-6 of what the criterion asks for."""
@@ -255,8 +255,21 @@ class ArmIk:
         """Its inequalities."""
         return [self.limit, self.ttc]
 
-    def aim(self, configuration: mink.Configuration, target: Target) -> NDArray[np.float64]:
+    def aim(
+        self,
+        configuration: mink.Configuration,
+        target: Target,
+        *,
+        catch_up_m_s: float = np.inf,
+        free_rotation: bool = False,
+    ) -> NDArray[np.float64]:
         """Take this tick's target and state.
+
+        Args:
+            configuration: The state.
+            target: Where the tool should be and how it should move.
+            catch_up_m_s: Largest speed at which a tool error is made good, turning counted as length.
+            free_rotation: Leave the rotation about the tool's own axis to the null space.
 
         Returns:
             (n,) the smallest joint velocity that gives the tool its wanted twist, limits aside.
@@ -264,7 +277,16 @@ class ArmIk:
         self.tool.follow(target)
         error, jacobian = self.tool._error_and_jacobian(configuration)
         self._tool_rows = jacobian[:, self.arm.dofs]
-        self._tool_rates = error * (-self.tool.gain / self.dt_s)
+        ahead = self.tool._ahead()
+        correction = (error - ahead) * (-self.tool.gain / self.dt_s)
+        speed = np.hypot(
+            np.linalg.norm(correction[:3]), TURN_LENGTH_M_PER_RAD * np.linalg.norm(correction[3:])
+        )
+        if speed > catch_up_m_s:
+            correction = correction * (catch_up_m_s / speed)
+        self._tool_rates = correction + ahead * (-self.tool.gain / self.dt_s)
+        if free_rotation:
+            self._tool_rows, self._tool_rates = self._tool_rows[:5], self._tool_rates[:5]
         gram = self._tool_rows @ self._tool_rows.T
         gram.flat[:: len(gram) + 1] += LEAST_MOTION_DAMPING
         return self._tool_rows.T @ np.linalg.solve(gram, self._tool_rates)
@@ -322,6 +344,50 @@ class ArmIk:
         # The solver keeps inequalities to a tolerance; the joint limits are meant exactly.
         return IkSolution(np.clip(velocity, self._low, self._high), status)
 
+    def evade(
+        self,
+        configuration: mink.Configuration,
+        previous_rad_s: NDArray[np.float64],
+        preferred_rad_s: NDArray[np.float64],
+        rows: NDArray[np.float64],
+        smallest_rate_m_s: NDArray[np.float64],
+    ) -> NDArray[np.float64] | None:
+        """The motion nearest to a preferred one that opens what must open, the tool's task aside.
+
+        The rows may be missed, as little as possible, where the joint limits leave no other way.
+
+        Args:
+            configuration: The state.
+            previous_rad_s: (n,) velocity from which the acceleration counts.
+            preferred_rad_s: (n,) velocity to stay near to.
+            rows: (R, n) rows G of the pairs.
+            smallest_rate_m_s: (R,) rate each should have at least.
+
+        Returns:
+            (n,) joint velocity; None if the solver failed.
+        """
+        self.limit.previous_rad_s = previous_rad_s
+        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
+        for values in (preferred_rad_s, rows, smallest_rate_m_s, low, high):
+            if np.isnan(values).any():
+                raise FloatingPointError(
+                    f"arm {self.arm.name}: the evasive motion was given a number that is not finite"
+                )
+        n, count = len(low), len(smallest_rate_m_s)
+        sense = np.concatenate([np.zeros(n, dtype=np.intc), np.full(count, _SOFT, dtype=np.intc)])
+        velocity, _, flag, _ = daqp.solve(
+            self._eye,
+            -preferred_rad_s,
+            rows,
+            np.concatenate([np.minimum(high, _UNBOUNDED), np.full(count, _UNBOUNDED)]),
+            np.concatenate([np.maximum(low, -_UNBOUNDED), smallest_rate_m_s]),
+            sense,
+            primal_tol=SOLVER_TOLERANCE_RAD_S,
+        )
+        if flag not in (_SOLVED, _SOLVED_SOFT) or not np.isfinite(velocity).all():
+            return None
+        return np.clip(velocity, low, high)
+
     def _program(
         self,
         H: NDArray[np.float64],
@@ -343,7 +409,9 @@ class ArmIk:
                 np.concatenate([lower, self._tool_rates]),
                 np.concatenate([upper, self._tool_rates]),
             )
-            sense = np.concatenate([sense, _EQUALITIES])
+            sense = np.concatenate(
+                [sense, np.full(len(self._tool_rates), _EQUALITY, dtype=np.intc)]
+            )
         low, high = np.maximum(self._low, -_UNBOUNDED), np.minimum(self._high, _UNBOUNDED)
         velocity, _, flag, _ = daqp.solve(
             H,

@@ -1,68 +1,137 @@
 """What a support arm does: a sequence of jobs, each a path with its own clock.
 
 The clock advances by the factor the controller grants, so an arm that is slowed down stays on its
-path. A job ends when its clock has run out, or, for `meet`, when the controller reports that the
-two tools are as near as they may be.
+path. `move` and `retreat` end when their clock has run out; `meet`, `fetch` and `exchange` end when
+what is meant to meet is d_min apart, dwell, and may hand over an instrument; `present` ends at a
+pose relative to another arm's tool. Where the place to go moves, the rest of the path is planned anew.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from workcell import scenario
 from workcell.motion.operator import path_through
 from workcell.motion.path import PathGeometry, Target, TimedPath, standing
+
+Vector = NDArray[np.float64]
+
+REPLAN_M = 0.01
+"""A goal that has moved by more than this is approached on a new path; chosen as the default d_min."""
+REPLAN_S = 0.5
+"""A path is followed at least this long before it is planned anew, so that an arm whose goal keeps moving gets under way."""
+APPROACH_M = 0.12
+"""Length of the straight last stretch to a presentation pose or an instrument: chosen longer than a tool."""
+ENTRIES: tuple[scenario.Entry, ...] = ("left", "right", "above")
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Where an instrument is now."""
+
+    centre_m: Vector
+    """(3,) in the world."""
+    axis_m: Vector
+    """(3,) half-length vector: the ends are centre ± axis."""
+    holder: str | None
+    """Arm that holds it; None where it lies."""
 
 
 @dataclass(frozen=True)
 class Surroundings:
     """What a job may know about the cell this tick."""
 
-    tool_position_m: dict[str, NDArray[np.float64]]
+    tool_position_m: dict[str, Vector]
     """(3,) tool position of every arm, in the world."""
-    tool_distance_m: dict[str, float]
-    """Smallest distance between this arm's and another arm's tool geoms, by the other's name."""
+    base_position_m: dict[str, Vector]
+    """(3,) base position of every arm, in the world."""
+    instruments: dict[str, Instrument]
+    """Every instrument, by name."""
+    meeting_distance_m: float
+    """Smallest distance between what the present job brings together; infinite where it brings nothing."""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """What a job brings together on purpose."""
+
+    arm: str | None
+    """The other arm, None for an instrument that lies."""
+    instrument: str | None
+    """The instrument handed over, None where two tools only meet."""
+    gives: bool = False
+    """Whether this arm holds the instrument before, rather than after."""
+
+
+@dataclass(frozen=True)
+class HandOver:
+    """An instrument changes hands this tick."""
+
+    instrument: str
+    to: str
+    """Arm that holds it from now on."""
+
+
+@dataclass
+class _Leg:
+    path: TimedPath
+    goal_m: Vector | None = None
+    """(3,) where it was planned to; None if it cannot move."""
+    planned_s: float = field(default=0.0)
 
 
 class JobSequence:
-    """The jobs of one arm, in order; stands still after the last.
+    """The jobs of one arm, in order; stands still after the last, or starts again if it repeats.
 
     Args:
         jobs: From the scenario.
+        arm: Name of the arm.
         position_m, wxyz: Tool pose at the start.
-        d_min_m: Distance at which a `meet` is complete.
+        d_min_m: Distance at which a meeting is complete.
+        repeat: How many times the whole sequence is done.
     """
 
     def __init__(
         self,
         jobs: tuple[scenario.Job, ...],
-        position_m: NDArray[np.float64],
-        wxyz: NDArray[np.float64],
+        *,
+        arm: str,
+        position_m: Vector,
+        wxyz: Vector,
         d_min_m: float,
+        repeat: int = 1,
     ):
-        self._jobs = jobs
+        self._jobs = jobs * repeat
+        self._arm = arm
         self._d_min_m = d_min_m
         self._index = -1
         self._target = standing(position_m, wxyz)
         self._travelled: list[tuple[PathGeometry, float]] = []
-        self._legs: list[TimedPath] = []
+        self._legs: list[_Leg] = []
         self._met = False
+        self._entry: scenario.Entry | None = None
+        self._since_plan_s = 0.0
         self.clock_s = 0.0
+        self.finished = 0
+        """How many jobs have been done."""
         self.switched = False
-        """Whether the last `advance` began another job or stopped a path short: motion starts again from rest."""
+        """Whether the last `advance` began another path or stopped one short: motion starts again from rest."""
+        self.hand_over: HandOver | None = None
+        """What changed hands in the last `advance`."""
 
     @property
     def name(self) -> str:
         """Logged as the arm's job."""
         if self._index < 0:
             return "start"
-        if self._index >= len(self._jobs):
+        job = self._current
+        if job is None:
             return "done"
-        kind = self._jobs[self._index].kind
-        return "dwell" if kind == "meet" and self._met else kind
+        return "dwell" if self._met else job.kind
 
     @property
     def done(self) -> bool:
@@ -70,21 +139,33 @@ class JobSequence:
         return self._index >= len(self._jobs)
 
     @property
-    def meeting(self) -> str | None:
-        """Name of the arm whose tool this arm is meant to meet now; also while it leaves again."""
+    def meeting(self) -> Meeting | None:
+        """What the arm is meant to meet now; after a meeting, until it has retreated, what it leaves."""
         job = self._current
-        if isinstance(job, scenario.Meet):
-            return job.arm
         if isinstance(job, (scenario.Retreat, scenario.Wait)):
             for earlier in reversed(self._jobs[: self._index]):
-                if isinstance(earlier, scenario.Meet):
-                    return earlier.arm
-        return None
+                if not isinstance(earlier, scenario.Wait):
+                    return _meeting(earlier)
+        return _meeting(job)
 
     @property
     def arrived(self) -> bool:
-        """Whether a `meet` has come as near as it may and dwells."""
-        return self._met and isinstance(self._current, scenario.Meet)
+        """Whether a meeting has come as near as it may, and dwells."""
+        return self._met
+
+    @property
+    def moving(self) -> bool:
+        """Whether the present job wants motion along a path."""
+        return bool(self._legs) and not self._met
+
+    @property
+    def free_rotation(self) -> bool:
+        """Whether the job leaves the rotation about the tool's axis free."""
+        job = self._current
+        return (
+            isinstance(job, (scenario.Move, scenario.Present, scenario.Retreat))
+            and job.free_rotation
+        )
 
     @property
     def _current(self) -> scenario.Job | None:
@@ -94,82 +175,215 @@ class JobSequence:
         """The pose and twist wanted at the present clock."""
         return self._target
 
-    def advance(self, step_s: float, factor: float, surroundings: Surroundings) -> None:
+    def enter_from(self, entry: scenario.Entry, around: Surroundings) -> bool:
+        """Change the side a presentation comes from, also on the way; False if nothing is being presented."""
+        job = self._current
+        if not isinstance(job, scenario.Present):
+            return False
+        self._entry = entry
+        self._plan(job, around)
+        return True
+
+    def try_another_entry(self, around: Surroundings) -> bool:
+        """Present from the next side in the order of `ENTRIES`; False if nothing is being presented."""
+        job = self._current
+        if not isinstance(job, scenario.Present):
+            return False
+        now = self._entry or job.entry
+        return self.enter_from(ENTRIES[(ENTRIES.index(now) + 1) % len(ENTRIES)], around)
+
+    def advance(self, step_s: float, factor: float, around: Surroundings) -> None:
         """Let time pass: `step_s` of the run, of which the path's clock gets the granted factor."""
-        self.switched = False
+        self.switched, self.hand_over = False, None
         job = self._current
         if job is None and self.done:
             return
-        if isinstance(job, scenario.Wait) or self.arrived:
-            self.clock_s += step_s  # waiting is not slowed down
-        else:
-            self.clock_s += step_s * factor
+        # Waiting is not slowed down.
+        waiting = self._met or isinstance(job, scenario.Wait)
+        self.clock_s = max(0.0, self.clock_s + step_s * (1.0 if waiting else factor))
+        self._since_plan_s += step_s
         if (
-            isinstance(job, scenario.Meet)
+            job is not None
             and not self._met
-            and surroundings.tool_distance_m[job.arm] <= self._d_min_m
+            and _meeting(job) is not None
+            and around.meeting_distance_m <= self._d_min_m
         ):
-            self._met = self.switched = True
-            self._leave(self._legs[0])
-            self._target = standing(self._target.position_m, self._target.wxyz)
-            self.clock_s = 0.0
+            self._arrive()
         if job is None or self._over(job):
-            self._next(surroundings)
-        elif self._legs and not self.arrived:
-            self._target = self._legs[0].target(self.clock_s)
+            if job is not None:
+                self._finish(job)
+            self._next(around)
+        elif self._legs and not self._met:
+            if self._has_moved(job, around):
+                self._plan(job, around)
+            self._target = self._legs[0].path.target(self.clock_s)
+
+    def _arrive(self) -> None:
+        self._met = self.switched = True
+        self._leave()
+        self._legs = []
+        self._target = standing(self._target.position_m, self._target.wxyz)
+        self.clock_s = 0.0
 
     def _over(self, job: scenario.Job) -> bool:
         if isinstance(job, scenario.Wait):
             return self.clock_s >= job.duration_s
-        if isinstance(job, scenario.Meet):
+        if isinstance(job, (scenario.Meet, scenario.Fetch, scenario.Exchange)):
             return self._met and self.clock_s >= job.dwell_s
         if not self._legs:  # a retreat with nothing travelled
             return True
-        if self.clock_s < self._legs[0].duration_s:
+        if self.clock_s < self._legs[0].path.duration_s:
             return False
-        if isinstance(job, scenario.Move):
-            self._leave(self._legs[0])
+        if not isinstance(job, scenario.Retreat):
+            self._leave()
         self.clock_s = 0.0
         self._legs = self._legs[1:]
         return not self._legs
 
-    def _leave(self, leg: TimedPath) -> None:
-        self._travelled.append((leg.geometry, leg.length_at(self.clock_s)))
+    def _finish(self, job: scenario.Job) -> None:
+        self.finished += 1
+        meeting = _meeting(job)
+        if meeting is not None and meeting.instrument is not None:
+            to = str(meeting.arm) if meeting.gives else self._arm
+            self.hand_over = HandOver(meeting.instrument, to)
 
-    def _next(self, surroundings: Surroundings) -> None:
+    def _leave(self) -> None:
+        """Remember how far the present path was followed."""
+        if self._legs:
+            path = self._legs[0].path
+            self._travelled.append((path.geometry, path.length_at(self.clock_s)))
+
+    def _next(self, around: Surroundings) -> None:
         self._index += 1
-        self.clock_s, self._met, self._legs, self.switched = 0.0, False, [], True
+        self.clock_s, self._met, self._legs, self.switched, self._entry = 0.0, False, [], True, None
         job = self._current
         if job is None or isinstance(job, scenario.Wait):
             self._target = standing(self._target.position_m, self._target.wxyz)
-            return
-        if isinstance(job, scenario.Retreat):
-            profile = {"speed_m_s": job.speed_m_s, "acceleration_m_s2": job.acceleration_m_s2}
+        elif isinstance(job, scenario.Retreat):
             self._legs = [
-                TimedPath(geometry, **profile, start_m=length, end_m=0.0)
+                _Leg(
+                    TimedPath(
+                        geometry,
+                        speed_m_s=job.speed_m_s,
+                        acceleration_m_s2=job.acceleration_m_s2,
+                        start_m=length,
+                        end_m=0.0,
+                    )
+                )
                 for geometry, length in reversed(self._travelled)
             ]
             self._travelled = []
+            self._target = (
+                self._legs[0].path.target(0.0)
+                if self._legs
+                else standing(self._target.position_m, self._target.wxyz)
+            )
         else:
-            self._legs = [
-                TimedPath(
-                    self._geometry(job, surroundings),
-                    speed_m_s=job.speed_m_s,
-                    acceleration_m_s2=job.acceleration_m_s2,
-                )
-            ]
-        self._target = (
-            self._legs[0].target(0.0)
-            if self._legs
-            else standing(self._target.position_m, self._target.wxyz)
-        )
+            self._plan(job, around)
 
-    def _geometry(
-        self, job: scenario.Move | scenario.Meet, surroundings: Surroundings
-    ) -> PathGeometry:
+    def _plan(self, job: scenario.Job, around: Surroundings) -> None:
+        """A path from the present target to where the job goes, from rest."""
+        if isinstance(job, (scenario.Wait, scenario.Retreat)):
+            return
+        self._leave()
+        position, wxyz = self._target.position_m, self._target.wxyz
+        goal = None
         if isinstance(job, scenario.Move):
-            return path_through(job.waypoints, self._target.position_m, self._target.wxyz)
-        there = surroundings.tool_position_m[job.arm]
-        return PathGeometry(
-            np.array([self._target.position_m, there]), np.array([self._target.wxyz] * 2)
+            geometry = path_through(job.waypoints, position, wxyz)
+        else:
+            goal, toward = self._goal(job, around)
+            turned = wxyz if toward is None else _turned_towards(wxyz, toward)
+            via = [] if toward is None else [goal - APPROACH_M * toward]
+            geometry = PathGeometry(
+                np.array([position, *via, goal]), np.array([wxyz, *[turned] * (len(via) + 1)])
+            )
+        self._legs = [
+            _Leg(
+                TimedPath(
+                    geometry, speed_m_s=job.speed_m_s, acceleration_m_s2=job.acceleration_m_s2
+                ),
+                goal,
+            )
+        ]
+        self.clock_s, self._since_plan_s, self.switched = 0.0, 0.0, True
+        self._target = self._legs[0].path.target(0.0)
+
+    def _goal(
+        self,
+        job: scenario.Meet | scenario.Fetch | scenario.Exchange | scenario.Present,
+        around: Surroundings,
+    ) -> tuple[Vector, Vector | None]:
+        """Where this arm's tool point has to go, and the direction its tool should point in at the end (None: as it does)."""
+        here = self._target.position_m
+        held = next((i for i in around.instruments.values() if i.holder == self._arm), None)
+        tip = here if held is None else _end(held, here, far=True)
+        offset = tip - around.tool_position_m[self._arm] if held is not None else np.zeros(3)
+        if isinstance(job, scenario.Fetch):
+            return around.instruments[job.instrument].centre_m, np.array([0.0, 0.0, -1.0])
+        if isinstance(job, scenario.Exchange) and job.direction == "take":
+            return _end(around.instruments[job.instrument], here, far=False), None
+        there = around.tool_position_m[job.arm]
+        if isinstance(job, scenario.Present):
+            toward = -_entry_direction(
+                self._entry or job.entry, around.base_position_m[job.arm], there
+            )
+            # The instrument will point along the tool once the tool has turned.
+            reach = float(np.linalg.norm(offset))
+            return there - (job.distance_m + reach) * toward, toward
+        return there - offset, None
+
+    def _has_moved(self, job: scenario.Job, around: Surroundings) -> bool:
+        planned = self._legs[0].goal_m
+        if (
+            planned is None
+            or self._since_plan_s < REPLAN_S
+            or isinstance(job, (scenario.Move, scenario.Wait, scenario.Retreat))
+        ):
+            return False
+        return float(np.linalg.norm(self._goal(job, around)[0] - planned)) > REPLAN_M
+
+
+def _meeting(job: scenario.Job | None) -> Meeting | None:
+    if isinstance(job, scenario.Meet):
+        return Meeting(job.arm, None)
+    if isinstance(job, scenario.Fetch):
+        return Meeting(None, job.instrument)
+    if isinstance(job, scenario.Exchange):
+        return Meeting(job.arm, job.instrument, gives=job.direction == "give")
+    return None
+
+
+def _end(instrument: Instrument, from_m: Vector, *, far: bool) -> Vector:
+    """The end of an instrument that is far from, or near to, a point."""
+    ends = (instrument.centre_m + instrument.axis_m, instrument.centre_m - instrument.axis_m)
+    return (max if far else min)(ends, key=lambda end: float(np.linalg.norm(end - from_m)))
+
+
+def _entry_direction(entry: scenario.Entry, base_m: Vector, tool_m: Vector) -> Vector:
+    """Unit vector from an arm's tool to the side named, left and right as seen from its base."""
+    if entry == "above":
+        return np.array([0.0, 0.0, 1.0])
+    forward = tool_m - base_m
+    left = np.array([-forward[1], forward[0], 0.0])
+    length = np.linalg.norm(left)
+    # A tool right above its base has no left: the world's y axis stands in.
+    left = left / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+    return left if entry == "left" else -left
+
+
+def _turned_towards(wxyz: Vector, direction: Vector) -> Vector:
+    """The orientation nearest to a given one whose z axis points along a unit vector."""
+    rotation = Rotation.from_quat(wxyz, scalar_first=True)
+    axis = rotation.apply([0.0, 0.0, 1.0])
+    cross, cosine = np.cross(axis, direction), float(axis @ direction)
+    sine = float(np.linalg.norm(cross))
+    if sine < 1e-9:
+        # Opposite directions have no shortest way; about the tool's x axis is as good as any.
+        turn = (
+            Rotation.identity()
+            if cosine > 0
+            else Rotation.from_rotvec(np.pi * rotation.apply([1.0, 0.0, 0.0]))
         )
+    else:
+        turn = Rotation.from_rotvec(cross / sine * np.arctan2(sine, cosine))
+    return (turn * rotation).as_quat(scalar_first=True)

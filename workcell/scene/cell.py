@@ -12,9 +12,16 @@ import numpy as np
 from workcell.errors import InputError
 from workcell.scenario import Scenario
 from workcell.scene import compose
-from workcell.scene.handles import ArmHandles, arm_handles
+from workcell.scene.handles import (
+    ArmHandles,
+    InstrumentHandles,
+    arm_handles,
+    instrument_handles,
+)
 from workcell.scene.pairs import WatchedPairs, watched_pairs
 
+HELD_GAP_M = 0.01
+"""Where an instrument held from the start begins, seen from the tool point: as a fetched one ends up, d_min away by default."""
 SENSOR_CUTOFF_M = 100.0
 """Beyond the size of any cell: a smaller one would cut distances off in silence."""
 
@@ -26,6 +33,8 @@ class Cell:
     scenario: Scenario
     model: mujoco.MjModel
     arms: tuple[ArmHandles, ...]
+    """In the order of the scenario file."""
+    instruments: tuple[InstrumentHandles, ...]
     """In the order of the scenario file."""
     pairs: WatchedPairs
     sensor_adr: np.ndarray
@@ -43,6 +52,24 @@ class Cell:
         mujoco.mj_resetData(self.model, data)
         for arm in self.arms:
             data.qpos[arm.qpos] = arm.home_rad
+        mujoco.mj_kinematics(self.model, data)
+        for item in self.instruments:
+            holder = next((arm for arm in self.arms if arm.name == item.held_by), None)
+            if holder is not None:
+                self._put_into_hand(data, item, holder)
+
+    def _put_into_hand(
+        self, data: mujoco.MjData, item: InstrumentHandles, holder: ArmHandles
+    ) -> None:
+        """In line with the tool, its near end HELD_GAP_M before the tool point."""
+        rotation = data.site_xmat[holder.tool_site].reshape(3, 3)
+        centre = (
+            data.site_xpos[holder.tool_site] + (HELD_GAP_M + item.half_length_m) * rotation[:, 2]
+        )
+        data.qpos[item.qpos : item.qpos + 3] = centre
+        mujoco.mju_mat2Quat(
+            data.qpos[item.qpos + 3 : item.qpos + 7], data.site_xmat[holder.tool_site]
+        )
 
 
 def build(scenario: Scenario, folder: Path) -> Cell:
@@ -53,13 +80,14 @@ def build(scenario: Scenario, folder: Path) -> Cell:
     """
     root = compose.compose(scenario)
     bare = compose.export(root, folder)
-    pairs = watched_pairs(bare, arm_handles(bare, scenario))
+    pairs = watched_pairs(bare, arm_handles(bare, scenario), instrument_handles(bare, scenario))
     compose.add_sensors(root, pairs.names, SENSOR_CUTOFF_M)
     model = compose.export(root, folder)
     return Cell(
         scenario=scenario,
         model=model,
         arms=arm_handles(model, scenario),
+        instruments=instrument_handles(model, scenario),
         pairs=pairs,
         sensor_adr=np.array(
             [model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp
@@ -79,7 +107,12 @@ def check_start(cell: Cell) -> None:
     mujoco.mj_kinematics(cell.model, data)
     d_min = cell.scenario.control.d_min_m
     faults = []
-    for (g, h), names in zip(cell.pairs.geoms, cell.pairs.names, strict=True):
+    held = {(item.name, item.held_by) for item in cell.instruments}
+    for (g, h), names, owners in zip(
+        cell.pairs.geoms, cell.pairs.names, cell.pairs.owners, strict=True
+    ):
+        if owners in held:
+            continue
         distance = mujoco.mj_geomDistance(cell.model, data, g, h, SENSOR_CUTOFF_M, None)
         if distance <= d_min:
             faults.append(

@@ -17,7 +17,7 @@ import mujoco
 
 from workcell import assets
 from workcell.errors import InputError
-from workcell.scenario import Arm, Scenario
+from workcell.scenario import Arm, Instrument, Scenario
 
 with warnings.catch_warnings():
     # dm_control probes for a window system when imported; composing needs none.
@@ -113,7 +113,41 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
         frame.quat = list(arm.base_wxyz)
     if faults:
         raise InputError(faults, file=scenario.file)
+    for instrument in scenario.instrument:
+        _add_instrument(root, instrument)
     return root
+
+
+def _add_instrument(root: mjcf.RootElement, instrument: Instrument) -> None:
+    """A free rod: a watched capsule, and a housing of the same shape for the eye and the final check.
+
+    It carries its own weight: what holds it, an arm's tool or the tray, is not modelled as contact.
+    """
+    position = [0.0, 0.0, 0.0] if instrument.position_m is None else list(instrument.position_m)
+    body = root.worldbody.add(
+        "body", name=instrument.name, pos=position, quat=list(instrument.wxyz), gravcomp=1.0
+    )
+    body.add("freejoint", name=f"{instrument.name}_free")
+    size = [instrument.radius_m, instrument.half_length_m]
+    shared = {"type": "capsule", "contype": 0, "conaffinity": 0}
+    body.add(
+        "geom",
+        name=f"{instrument.name}_capsule",
+        size=size,
+        group=4,
+        mass=instrument.mass_kg,
+        rgba=[*instrument.rgba[:3], 0.25],
+        **shared,
+    )
+    body.add(
+        "geom",
+        name=f"{instrument.name}_rod",
+        size=[0.9 * size[0], size[1]],
+        group=2,
+        mass=0,
+        rgba=list(instrument.rgba),
+        **shared,
+    )
 
 
 def add_sensors(root: mjcf.RootElement, pairs: Sequence[tuple[str, str]], cutoff_m: float) -> None:

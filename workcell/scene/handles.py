@@ -63,6 +63,42 @@ class Servo:
     """kv / kp of a position servo: ctrl = q_ref + lead q̇_ref cancels its velocity lag; 0 otherwise."""
 
 
+@dataclass(frozen=True)
+class InstrumentHandles:
+    """Addresses of one instrument in the compiled scene."""
+
+    name: str
+    body: int
+    geom: int
+    """Its watched capsule."""
+    qpos: int
+    """Where its free joint's position and quaternion start in qpos."""
+    dof: int
+    """Where its free joint's six velocities start in qvel."""
+    half_length_m: float
+    rests_on: tuple[str, ...]
+    """Obstacles it lies on, which it is not watched against."""
+    held_by: str | None
+    """Arm that holds it at the start."""
+
+
+def instrument_handles(model: mujoco.MjModel, scenario: Scenario) -> tuple[InstrumentHandles, ...]:
+    """Resolve all instruments, in the order of the scenario file."""
+    return tuple(
+        InstrumentHandles(
+            name=item.name,
+            body=model.body(item.name).id,
+            geom=model.geom(f"{item.name}_capsule").id,
+            qpos=int(model.joint(f"{item.name}_free").qposadr[0]),
+            dof=int(model.joint(f"{item.name}_free").dofadr[0]),
+            half_length_m=item.half_length_m,
+            rests_on=item.rests_on,
+            held_by=item.held_by,
+        )
+        for item in scenario.instrument
+    )
+
+
 def arm_handles(model: mujoco.MjModel, scenario: Scenario) -> tuple[ArmHandles, ...]:
     """Resolve all arms of the scenario, in the order of the scenario file."""
     faults: list[str] = []

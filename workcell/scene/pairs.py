@@ -5,6 +5,7 @@ and an arm against itself. A pair is left out only for a written reason:
 
 * `static`: no joint lies between the two geoms, or none changes their distance;
 * `neighbours`: within one arm, at most `NEIGHBOUR_JOINTS` joints apart, where housings interlock by design;
+* `rests`: an instrument and the obstacle it lies on;
 * `apart`: within one arm, never nearer than `APART_M` in the sampled poses.
 """
 
@@ -16,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.scene.handles import ArmHandles, arm_of_geom
+from workcell.scene.handles import ArmHandles, InstrumentHandles, arm_of_geom
 
 NEIGHBOUR_JOINTS = 2
 """Links up to two joints apart share a housing joint (on the PA10: shoulder, elbow and wrist forks)."""
@@ -35,7 +36,7 @@ class WatchedPairs:
     names: tuple[tuple[str, str], ...]
     """(P,) geom names."""
     owners: tuple[tuple[str, str | None], ...]
-    """(P,) names of the arms the two geoms belong to; None is the static surroundings."""
+    """(P,) names of the arms or instruments the two geoms belong to; None is the static surroundings."""
     omitted: tuple[tuple[str, str, str], ...]
     """Every pair left out: geom, geom, reason."""
 
@@ -43,8 +44,16 @@ class WatchedPairs:
         return len(self.names)
 
 
-def watched_pairs(model: mujoco.MjModel, arms: tuple[ArmHandles, ...]) -> WatchedPairs:
-    """Make the list for a compiled scene (sensors not needed)."""
+def watched_pairs(
+    model: mujoco.MjModel,
+    arms: tuple[ArmHandles, ...],
+    instruments: tuple[InstrumentHandles, ...] = (),
+) -> WatchedPairs:
+    """Make the list for a compiled scene (sensors not needed).
+
+    An instrument is watched against every arm and the surroundings all the time; who answers for
+    such a pair, and whether it counts at all, depends on who holds it (control/grasp.py).
+    """
     arm_names = tuple(arm.name for arm in arms)
     surroundings = [
         g
@@ -57,6 +66,7 @@ def watched_pairs(model: mujoco.MjModel, arms: tuple[ArmHandles, ...]) -> Watche
         for other in arms[index + 1 :]:
             candidates += [(g, h) for g in arm.geoms for h in other.geoms]
         candidates += [(g, h) for g in arm.geoms for h in surroundings]
+    loose, rests = _instrument_pairs(model, arms, instruments, surroundings)
     nearest, farthest = _sampled_extremes(model, arms, candidates)
     kept: list[tuple[int, int]] = []
     omitted: list[tuple[str, str, str]] = []
@@ -66,15 +76,38 @@ def watched_pairs(model: mujoco.MjModel, arms: tuple[ArmHandles, ...]) -> Watche
             kept.append((g, h))
         else:
             omitted.append((model.geom(g).name, model.geom(h).name, reason))
+    kept += loose
+    omitted += rests
+    owner = {g: arm.name for arm in arms for g in arm.geoms} | {
+        item.geom: item.name for item in instruments
+    }
     return WatchedPairs(
         geoms=np.array(kept, dtype=np.intp).reshape(-1, 2),
         names=tuple((model.geom(g).name, model.geom(h).name) for g, h in kept),
-        owners=tuple(
-            (str(arm_of_geom(model, g, arm_names)), arm_of_geom(model, h, arm_names))
-            for g, h in kept
-        ),
+        owners=tuple((owner[g], owner.get(h)) for g, h in kept),
         omitted=tuple(omitted),
     )
+
+
+def _instrument_pairs(
+    model: mujoco.MjModel,
+    arms: tuple[ArmHandles, ...],
+    instruments: tuple[InstrumentHandles, ...],
+    surroundings: list[int],
+) -> tuple[list[tuple[int, int]], list[tuple[str, str, str]]]:
+    """Every instrument against arms, surroundings and other instruments; what it rests on is left out."""
+    kept: list[tuple[int, int]] = []
+    omitted: list[tuple[str, str, str]] = []
+    for index, item in enumerate(instruments):
+        name = model.geom(item.geom).name
+        kept += [(item.geom, g) for arm in arms for g in arm.geoms]
+        kept += [(item.geom, other.geom) for other in instruments[index + 1 :]]
+        for g in surroundings:
+            if model.geom(g).name in item.rests_on:
+                omitted.append((name, model.geom(g).name, "rests: the instrument lies on it"))
+            else:
+                kept.append((item.geom, g))
+    return kept, omitted
 
 
 def _why_not(

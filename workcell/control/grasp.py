@@ -1,0 +1,164 @@
+"""Who holds which instrument, and what follows for motion and for the watched pairs.
+
+A held instrument moves with the tool as one rigid body: its pose is carried along, and the columns
+of G that belong to its free joint are folded onto the joints of the arm that holds it. It counts as
+part of that arm from the tick it is taken: pairs with its own hand are switched off, pairs with
+everything else are the holder's to keep apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.scene.cell import Cell
+from workcell.scene.handles import ArmHandles, InstrumentHandles
+
+HAND_BODIES = 3
+"""The tool's body and the two links before it: what holds an instrument is not watched against it."""
+
+
+@dataclass(frozen=True)
+class _Grasp:
+    arm: ArmHandles
+    position_m: NDArray[np.float64]
+    """(3,) of the instrument in the tool frame."""
+    wxyz: NDArray[np.float64]
+    """(4,)"""
+
+
+class Grasps:
+    """The instruments of a cell and the arms that hold them.
+
+    Args:
+        cell: The cell.
+        data: At home, after `mj_kinematics`: where instruments held from the start are gripped.
+    """
+
+    def __init__(self, cell: Cell, data: mujoco.MjData):
+        self._cell = cell
+        self._arms = {arm.name: arm for arm in cell.arms}
+        self._items = {item.name: item for item in cell.instruments}
+        self._held: dict[str, _Grasp] = {}
+        self._hands = {arm.name: _hand(cell.model, arm) for arm in cell.arms}
+        for item in cell.instruments:
+            if item.held_by is not None:
+                self.take(item.name, item.held_by, data)
+
+    def holder(self, instrument: str) -> str | None:
+        """Name of the arm that holds an instrument; None where it lies."""
+        grasp = self._held.get(instrument)
+        return None if grasp is None else grasp.arm.name
+
+    def holding(self, arm: str) -> str | None:
+        """Name of the instrument an arm holds."""
+        return next((name for name, grasp in self._held.items() if grasp.arm.name == arm), None)
+
+    def summary(self) -> str:
+        """Who holds what, for the log: `scalpel=nurse clamp=`."""
+        return " ".join(f"{name}={self.holder(name) or ''}" for name in self._items)
+
+    def take(self, instrument: str, arm: str, data: mujoco.MjData) -> None:
+        """From now on the arm holds the instrument, where it is now."""
+        item, handles = self._items[instrument], self._arms[arm]
+        pose = data.qpos[item.qpos : item.qpos + 7].copy()
+        position, wxyz = np.empty(3), np.empty(4)
+        tool_position, tool_wxyz = _tool_pose(data, handles)
+        back_position, back_wxyz = np.empty(3), np.empty(4)
+        mujoco.mju_negPose(back_position, back_wxyz, tool_position, tool_wxyz)
+        mujoco.mju_mulPose(position, wxyz, back_position, back_wxyz, pose[:3], pose[3:])
+        self._held[instrument] = _Grasp(handles, position, wxyz)
+
+    def carry(self, data: mujoco.MjData) -> None:
+        """Put every held instrument where its tool is, at rest against it; needs current kinematics."""
+        for name, grasp in self._held.items():
+            item = self._items[name]
+            tool_position, tool_wxyz = _tool_pose(data, grasp.arm)
+            mujoco.mju_mulPose(
+                data.qpos[item.qpos : item.qpos + 3],
+                data.qpos[item.qpos + 3 : item.qpos + 7],
+                tool_position,
+                tool_wxyz,
+                grasp.position_m,
+                grasp.wxyz,
+            )
+            data.qvel[item.dof : item.dof + 6] = (
+                self._follow(data, item, grasp) @ data.qvel[grasp.arm.dofs]
+            )
+
+    def fold(self, data: mujoco.MjData, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+        """G (P, nv) with held instruments as part of their arms, and lying ones as part of the world."""
+        if not self._items:
+            return jacobian
+        folded = jacobian.copy()
+        for name, item in self._items.items():
+            own = slice(item.dof, item.dof + 6)
+            grasp = self._held.get(name)
+            if grasp is not None:
+                folded[:, grasp.arm.dofs] += folded[:, own] @ self._follow(data, item, grasp)
+            folded[:, own] = 0.0
+        return folded
+
+    def parties(self, pair: int) -> tuple[str, ...]:
+        """The arms whose motion changes a pair; empty for a pair that is switched off now.
+
+        Off are: an instrument against the hand that holds it, and pairs without any arm.
+        """
+        names = []
+        for geom, owner in zip(
+            self._cell.pairs.geoms[pair], self._cell.pairs.owners[pair], strict=True
+        ):
+            arm = self.holder(owner) if owner in self._items else owner
+            if arm is not None:
+                names.append((arm, int(geom), owner in self._items))
+        if len(names) == 2 and names[0][0] == names[1][0] and any(item for *_, item in names):
+            arm = names[0][0]
+            others = [geom for _, geom, item in names if not item]
+            if not others or self._cell.model.geom_bodyid[others[0]] in self._hands[arm]:
+                return ()
+        return tuple(dict.fromkeys(arm for arm, *_ in names))
+
+    def part_of_hand(self, geom: int, arm: str) -> bool:
+        """Whether a geom is on the arm's tool or is the instrument it holds."""
+        tool = self._cell.model.site_bodyid[self._arms[arm].tool_site]
+        held = self.holding(arm)
+        return self._cell.model.geom_bodyid[geom] == tool or (
+            held is not None and geom == self._items[held].geom
+        )
+
+    def _follow(
+        self, data: mujoco.MjData, item: InstrumentHandles, grasp: _Grasp
+    ) -> NDArray[np.float64]:
+        """(6, n): the velocities of the instrument's free joint per joint velocity of the arm that holds it."""
+        model = self._cell.model
+        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        body = model.site_bodyid[grasp.arm.tool_site]
+        position = data.qpos[item.qpos : item.qpos + 3]
+        mujoco.mj_jac(model, data, linear, angular, position, body)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, data.qpos[item.qpos + 3 : item.qpos + 7])
+        dofs = grasp.arm.dofs
+        # A free joint turns in its own frame and moves in the world's.
+        return np.vstack([linear[:, dofs], rotation.reshape(3, 3).T @ angular[:, dofs]])
+
+
+def _tool_pose(
+    data: mujoco.MjData, arm: ArmHandles
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    wxyz = np.empty(4)
+    mujoco.mju_mat2Quat(wxyz, data.site_xmat[arm.tool_site])
+    return data.site_xpos[arm.tool_site], wxyz
+
+
+def _hand(model: mujoco.MjModel, arm: ArmHandles) -> frozenset[int]:
+    """The tool's body and the links right before it."""
+    bodies, body = [], int(model.site_bodyid[arm.tool_site])
+    moved = 0
+    while body and moved < HAND_BODIES:
+        bodies.append(body)
+        moved += bool(model.body_jntnum[body])
+        body = int(model.body_parentid[body])
+    return frozenset(bodies)
