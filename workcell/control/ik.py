@@ -276,6 +276,10 @@ class ArmIk:
         """
         self.tool.follow(target)
         error, jacobian = self.tool._error_and_jacobian(configuration)
+        if not np.isfinite(error).all():
+            raise FloatingPointError(
+                f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
+            )
         self._tool_rows = jacobian[:, self.arm.dofs]
         ahead = self.tool._ahead()
         correction = (error - ahead) * (-self.tool.gain / self.dt_s)
