@@ -111,6 +111,64 @@ def plot(run: RunFolder, /) -> int:
     return OK
 
 
+Workers = Annotated[
+    int | None,
+    tyro.conf.arg(metavar="N", help="worker processes; default one for each core", name="workers"),
+]
+Cluster = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="ADDRESS", help="of a Dask scheduler whose workers make the runs"),
+]
+
+
+def sweep(
+    scenario: ScenarioName,
+    /,
+    runs: Annotated[int, tyro.conf.arg(metavar="N", help="variations")] = 100,
+    seed: Annotated[int, tyro.conf.arg(metavar="S", help="of all draws")] = 0,
+    compare: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(
+            metavar="KEY=A,B,...",
+            help="try the same variations under each of these; may be given several times",
+        ),
+    ] = (),
+    workers: Workers = None,
+    cluster: Cluster = None,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="folder; default runs/sweep_<scenario>")
+    ] = None,
+    resume: Annotated[bool, tyro.conf.arg(help="go on with a sweep that was stopped")] = False,
+    set: Overrides = (),
+) -> int:
+    """Make many variations of a scenario, as its [vary] says, and sum up how often they fail."""
+    from workcell.study import report
+    from workcell.study import sweep as study
+    from workcell.study.workers import pool
+
+    plan = study.plan(scenario, runs=runs, seed=seed, compare=compare, overrides=set)
+    folder = out or Path("runs") / f"sweep_{Path(scenario).stem}"
+    options = {"runs": runs, "seed": seed, "compare": compare, "set": set}
+    with (
+        pool(workers, cluster) as (executor, count),
+        _progress(f"sweeping {Path(scenario).stem}") as bar,
+    ):
+        complete = study.sweep(
+            plan,
+            folder,
+            executor,
+            ahead=2 * count,
+            resume=resume,
+            progress=bar and (lambda now: bar(now.done, now.total)),
+        )
+    page = report.conclude(folder, report.command_line("sweep", scenario, options))
+    _out.print(page.read_text(encoding="utf-8"), markup=False)
+    _out.print(str(folder))
+    if not complete:
+        _err.print("interrupted; --resume goes on")
+    return OK if complete and report.all_succeeded(folder) else FAILED
+
+
 def _report(summary: dict, folder: Path) -> None:
     table = Table("expectation", "wanted", "measured", "held", box=None)
     for name, verdict in summary["expectations"].items():
@@ -152,6 +210,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "run": run,
     "replay": replay,
     "plot": plot,
+    "sweep": sweep,
 }
 
 

@@ -2,8 +2,8 @@
 
 A rate of k failures in n runs gets its exact (Clopper-Pearson) interval; zero failures thereby
 become an upper bound, not a zero. Two settings tried on the same variations are compared by their
-paired differences with Student's interval of the mean, which needs no equal scatter of the
-variations, only enough pairs for their mean to be near normal; the number of pairs is given.
+paired differences: of numbers with Student's interval of the mean, which only needs enough pairs
+for their mean to be near normal; of events with exact intervals of the pairs that disagree.
 """
 
 from __future__ import annotations
@@ -57,13 +57,16 @@ class Difference:
         """Whether the interval leaves out zero."""
         return self.low is not None and self.high is not None and not self.low <= 0.0 <= self.high
 
-    def __str__(self) -> str:
+    def text(self, factor: float = 1.0) -> str:
+        """For people, in another unit; an asterisk where the interval leaves out zero."""
         if self.mean is None:
             return "no pairs"
         if self.low is None or self.high is None:
-            return f"{self.mean:+.3g} (one pair)"
+            return f"{factor * self.mean:+.3g} (one pair)"
+        if self.low == self.high == 0.0:
+            return "the same in all pairs"
         mark = " *" if self.is_clear else ""
-        return f"{self.mean:+.3g} ({self.low:+.3g} to {self.high:+.3g}){mark}"
+        return f"{factor * self.mean:+.3g} ({factor * self.low:+.3g} to {factor * self.high:+.3g}){mark}"
 
 
 def rate(count: int, runs: int, confidence: float = CONFIDENCE) -> Rate:
@@ -104,6 +107,30 @@ def paired(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) 
         return Difference(1, mean, None, None)
     half = float(t.ppf(0.5 + confidence / 2.0, n - 1) * change.std(ddof=1) / np.sqrt(n))
     return Difference(n, mean, mean - half, mean + half)
+
+
+def paired_events(
+    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
+) -> Difference:
+    """The difference of two rates, second - first, on the same variations.
+
+    The pairs that show the event under one setting only are two counts; each gets its exact interval
+    at half the risk, so that the interval of their difference holds whatever their correlation, and
+    pairs that all agree give bounds, not a certainty.
+
+    Args:
+        first, second: (n,) whether each variation showed the event.
+        confidence: Of the interval.
+    """
+    before, after = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    n = len(before)
+    if n == 0:
+        return Difference(0, None, None, None)
+    share = 1.0 - (1.0 - confidence) / 2.0
+    gained = rate(int(np.sum(after & ~before)), n, share)
+    lost = rate(int(np.sum(before & ~after)), n, share)
+    mean = (gained.count - lost.count) / n
+    return Difference(n, mean, gained.low - lost.high, gained.high - lost.low)
 
 
 def percent(share: float) -> str:

@@ -165,7 +165,10 @@ def sweep(
     before = len(done)
     try:
         with (out / JOURNAL_FILE).open("a", encoding="utf-8") as journal:
-            for report, values in _reports(what, executor, what.tasks(done), ahead):
+            reports = _reports(
+                what, executor, what.tasks(set(done)), ahead, lambda: kept < KEPT_FAILURES
+            )
+            for report, values in reports:
                 row = report.outcome
                 journal.write(json.dumps({**asdict(row), "values": values}, allow_nan=False) + "\n")
                 journal.flush()
@@ -182,7 +185,7 @@ def sweep(
         complete = True
     except KeyboardInterrupt:
         # What is in the journal stays; the table below is made of it.
-        executor.shutdown(wait=False, cancel_futures=True)
+        complete = False
     if len(done) > before or not (out / TABLE_FILE).is_file():
         write_table(out)
     return complete
@@ -204,15 +207,21 @@ def write_table(out: Path) -> Path:
     return out / TABLE_FILE
 
 
-def make_run(scenario: scenario_file.Scenario | None, run: int, setting: str, fault: str) -> Report:
-    """What a worker does."""
+def make_run(
+    scenario: scenario_file.Scenario | None, run: int, setting: str, fault: str, keep: bool
+) -> Report:
+    """What a worker does: a run, or word that its values do not go together."""
     if scenario is None:
         return Report(Outcome(run, setting, "refused", reason=fault), {})
-    return outcome.perform(run, setting, scenario, True)
+    return outcome.perform(run, setting, scenario, keep)
 
 
 def _reports(
-    what: Plan, executor: Executor, tasks: Iterator[tuple[int, str]], ahead: int
+    what: Plan,
+    executor: Executor,
+    tasks: Iterator[tuple[int, str]],
+    ahead: int,
+    keep: Callable[[], bool],
 ) -> Iterator[tuple[Report, dict[str, Any]]]:
     """Results as they come, never more than `ahead` runs under way."""
     under_way: dict[Future, tuple[int, str, dict[str, Any]]] = {}
@@ -222,7 +231,7 @@ def _reports(
             scenario, fault = what.variations[setting].scenario(values), ""
         except InputError as error:
             scenario, fault = None, "; ".join(error.faults)
-        future = executor.submit(make_run, scenario, run, setting, fault)
+        future = executor.submit(make_run, scenario, run, setting, fault, keep())
         under_way[future] = (run, setting, values)
         if len(under_way) >= ahead:
             yield from _finished(under_way)

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from typing import Any, cast
 
 from workcell.errors import InputError, WorkcellError
 
@@ -110,7 +110,41 @@ class LocalWorkers(Executor):
 
 
 @contextlib.contextmanager
-def cluster(address: str) -> Iterator[Executor]:
+def pool(count: int | None, address: str | None) -> Iterator[tuple[Executor, int]]:
+    """Who makes the runs, and how many at a time; ended on leaving, finished or not.
+
+    Args:
+        count: Local processes, None for one a core of those this process may use.
+        address: Of a Dask scheduler, whose workers are then taken instead.
+
+    Raises:
+        InputError: no workers asked for, both kinds asked for, or no such cluster.
+    """
+    if address is not None:
+        if count is not None:
+            raise InputError("--workers and --cluster: a cluster brings its own workers; drop one")
+        with _cluster(address) as found:
+            yield found
+        return
+    if count is not None and count < 1:
+        raise InputError(f"--workers {count}: allowed is 1 or more")
+    count = count or available_cores()
+    workers = LocalWorkers(count)
+    try:
+        yield workers, count
+    finally:
+        workers.shutdown(cancel_futures=True)
+
+
+def available_cores() -> int:
+    """Cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
     """Workers of a Dask cluster, by the address of its scheduler.
 
     Raises:
@@ -128,7 +162,23 @@ def cluster(address: str) -> Iterator[Executor]:
         raise InputError(f"--cluster {address}: no Dask scheduler answers: {error}") from error
     with client:
         # Two runs with equal arguments are still two runs: a result must not come from a cache.
-        yield client.get_executor(pure=False)
+        # A client in a plain function is synchronous; its type only knows the other kind.
+        threads = cast(dict[str, int], client.nthreads())
+        if not threads:
+            raise InputError(f"--cluster {address}: the scheduler has no workers")
+        shared = {worker: count for worker, count in threads.items() if count > 1}
+        if shared:
+            # MuJoCo's control callback is one a process: two runs in it would steer each other.
+            worker, count = next(iter(shared.items()))
+            raise InputError(
+                f"--cluster {address}: worker {worker} has {count} threads; allowed is 1 (dask worker --nthreads 1)"
+            )
+        # Two runs with equal arguments are still two runs: a result must not come from a cache.
+        executor = client.get_executor(pure=False)
+        try:
+            yield executor, len(threads)
+        finally:
+            executor.shutdown(wait=False)
 
 
 def death(error: BaseException) -> str | None:
