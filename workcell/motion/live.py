@@ -49,7 +49,8 @@ class LiveOperator:
             settings.max_turn_rad_s2,
         )
         self._governor = TargetGovernor(caps, position_m, wxyz, period_s=period_s)
-        self._start = standing(position_m, wxyz)
+        self.start = standing(position_m, wxyz)
+        """The pose kept until the first sample."""
         self._came: deque[Sample] = deque()
         self._behind = False
         """Whether a fault has left the target behind the stream."""
@@ -67,7 +68,7 @@ class LiveOperator:
         sample, state = self._filter.look(time_s)
         state = worst if state == VALID else state
         if sample is None:
-            wanted = self._start
+            wanted = self.start
         else:
             # A sample within the tolerance is normalised; one that is exact stays so.
             norm = float(np.linalg.norm(sample.wxyz))

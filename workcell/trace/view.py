@@ -12,7 +12,7 @@ import os
 import subprocess
 import uuid
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -274,11 +274,10 @@ def _send(
         recording.send_columns(entity, _times(trace, rows[piece]), part(piece))
 
 
-def _log_geometry(
-    recording: rr.RecordingStream, trace: Trace, model: mujoco.MjModel, frames: _Frames
-) -> None:
-    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    arms = trace.layout.arms
+def body_surfaces(
+    model: mujoco.MjModel, arms: Sequence[str]
+) -> Iterator[tuple[int, str, rr.Mesh3D]]:
+    """What is drawn of every body that has anything to draw: its index, its entity, its surface in its own frame."""
     for body in range(model.nbody):
         drawn = [
             geom
@@ -299,7 +298,8 @@ def _log_geometry(
             np.tile(_geom_rgba(model, geom), (len(piece.vertices), 1))
             for geom, piece in zip(drawn, parts, strict=True)
         ]
-        recording.log(
+        yield (
+            body,
             entity,
             rr.Mesh3D(
                 vertex_positions=surface.vertices.astype(np.float32),
@@ -307,8 +307,16 @@ def _log_geometry(
                 vertex_colors=np.concatenate(colours),
                 triangle_indices=surface.faces.astype(np.uint32),
             ),
-            static=True,
         )
+
+
+def _log_geometry(
+    recording: rr.RecordingStream, trace: Trace, model: mujoco.MjModel, frames: _Frames
+) -> None:
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    arms = trace.layout.arms
+    for body, entity, surface in body_surfaces(model, arms):
+        recording.log(entity, surface, static=True)
         position = frames.position_m[:, body].astype(np.float32)
         xyzw = frames.wxyz[:, body][:, [1, 2, 3, 0]].astype(np.float32)
         if model.body_weldid[body] == 0:
