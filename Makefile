@@ -4,7 +4,7 @@ BIN := .venv/bin
 SCENARIO ?= handover
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-long lint type imports check bench lock wheel clean
+.PHONY: help install run test test-long bless lint type imports check bench lock wheel clean
 
 help:       ## say what there is
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
@@ -26,6 +26,9 @@ test: install  ## the tests, under five minutes on two cores
 
 test-long: install  ## the suites that take longer
 	$(BIN)/python -m pytest -n 2 -m long
+
+bless: install  ## make what a scenario does now its reference (SCENARIO=... REASON="...")
+	$(BIN)/workcell bless $(SCENARIO) --reason "$(REASON)"
 
 lint: install  ## style
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from workcell import assets
+from workcell import assets, cli_regression
 from workcell import scenario as scenario_file
 from workcell.errors import InputError, TraceError
 
@@ -85,6 +85,43 @@ def run(
         summary = runner.run(loaded, folder, progress=progress)
     _report(summary, folder)
     return OK if summary["held"] else FAILED
+
+
+def teleop(
+    scenario: ScenarioName,
+    /,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="run folder; default runs/<scenario>_live")
+    ] = None,
+    set: Overrides = (),
+    gamepad: Annotated[
+        bool, tyro.conf.arg(help="steer with the first gamepad or 3D mouse too")
+    ] = False,
+    rerun: Annotated[
+        bool, tyro.conf.arg(help="also stream to a rerun viewer on this machine, when there is one")
+    ] = False,
+) -> int:
+    """Run a scenario in real time with a person at its live operators; docs/teleop.md has the keys."""
+    from workcell.teleop import teleop as session
+
+    loaded = scenario_file.load(scenario, set)
+    folder = out or Path("runs") / f"{loaded.name}_live"
+    summary = session(loaded, folder, gamepad=gamepad, rerun=rerun, say=_out.print)
+    _report(summary, folder)
+    kept = summary["real_time"]
+    _out.print(
+        f"real time: {kept['missed']} of {kept['ticks']} ticks came late, the worst by {1e3 * kept['worst_late_s']:.1f} ms; {kept['slipped_s']:.2f} s slower than the clock"
+    )
+    return OK if summary["held"] else FAILED
+
+
+def record_operator(run: RunFolder, /) -> int:
+    """Write the operators of a run as recordings, and replay.toml, which plays them back."""
+    from workcell.operator_file import write_replay
+
+    for path in write_replay(run):
+        _out.print(str(path))
+    return OK
 
 
 def replay(
@@ -208,9 +245,14 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "list": list_,
     "check": check,
     "run": run,
+    "teleop": teleop,
+    "record-operator": record_operator,
     "replay": replay,
     "plot": plot,
     "sweep": sweep,
+    "compare": cli_regression.compare,
+    "rerun": cli_regression.rerun,
+    "bless": cli_regression.bless,
 }
 
 

@@ -22,6 +22,7 @@ from workcell import scenario as scenario_file
 from workcell.errors import InputError, TraceError
 from workcell.scenario import Scenario
 from workcell.signals import Layout
+from workcell.trace import metrics
 from workcell.trace.compare import Comparison, Excerpt, Identity, compare, excerpt, identity
 from workcell.trace.reference import read_rows, read_states, write_rows, write_states
 from workcell.trace.table import Trace
@@ -43,6 +44,9 @@ METRIC_RTOL, METRIC_ATOL, COUNT_ATOL = 0.01, 1e-4, 2 * SLACK_TICKS
 millimetre, millimetre a second, ... ; counts of ticks by what the slack at two switches makes of them."""
 OF_AN_EXTREME = ("_time_s", "_pair", "_reason")
 """Ends of metrics that say where an extreme was: of two equal ones rounding picks either."""
+
+CLOSED: dict[str, Any] = {"widen": WIDEN_CLOSED, "slack_ticks": SLACK_TICKS}
+"""What two closed loops are compared with."""
 
 LOG = "LOG.md"
 _ROWS = {"open": "open_loop.csv", "closed": "closed_loop.csv"}
@@ -105,6 +109,11 @@ def names(references: Path) -> list[str]:
     return sorted(path.parent.name for path in references.glob(f"*/{_ABOUT}"))
 
 
+def is_reference(folder: Path) -> bool:
+    """Whether a folder holds a reference, not a run."""
+    return (folder / _ABOUT).is_file()
+
+
 def load(folder: Path) -> Reference:
     """Read a reference.
 
@@ -158,8 +167,7 @@ def check_closed_loop(reference: Reference, out: Path) -> ClosedLoop:
         comparison=compare(
             excerpt(again.trace),
             reference.rows("closed"),
-            slack_ticks=SLACK_TICKS,
-            widen=WIDEN_CLOSED,
+            **CLOSED,
         ),
     )
 
@@ -173,6 +181,11 @@ def metric_changes(
         for name, was in reference.items()
         if not name.endswith(OF_AN_EXTREME) and not _same_metric(now.get(name), was)
     )
+
+
+def metrics_of(trace: Trace) -> dict[str, Any]:
+    """The metrics a recorded run had, as far as the trace tells."""
+    return dict(metrics.summarise(trace))
 
 
 def unmet(summary: Mapping[str, Any]) -> tuple[str, ...]:
@@ -225,19 +238,19 @@ def bless(
             file=shipped.file,
         )
     folder = references / shipped.name
-    old = load(folder) if (folder / _ABOUT).is_file() else None
+    old = load(folder) if is_reference(folder) else None
     if overrides is None:
         overrides = OVERRIDES if old is None else old.overrides
     _judged(shipped, out / "shipped", progress)
     again = _judged(scenario_file.load(name, tuple(overrides)), out / "closed_loop", progress)
     if again.summary is None:  # A closed loop always has one; the type does not know.
         raise TraceError(f"{again.trace.source}: has no summary")
-    metrics = again.summary["metrics"]
-    _write(folder, again.trace, tuple(overrides), metrics, out / "open_loop", progress)
+    new = again.summary["metrics"]
+    _write(folder, again.trace, tuple(overrides), new, out / "open_loop", progress)
     changes = [
-        MetricChange(key, metrics.get(key), None if old is None else old.metrics.get(key))
-        for key in {**(old.metrics if old else {}), **metrics}
-        if old is None or metrics.get(key) != old.metrics.get(key)
+        MetricChange(key, _rounded(new.get(key)), None if old is None else old.metrics.get(key))
+        for key in {**(old.metrics if old else {}), **new}
+        if old is None or _rounded(new.get(key)) != old.metrics.get(key)
     ]
     _log(references / LOG, shipped.name, reason, changes, new=old is None)
     return changes
@@ -258,7 +271,7 @@ def _write(
     folder: Path,
     trace: Trace,
     overrides: tuple[str, ...],
-    metrics: Mapping[str, Any],
+    measured: Mapping[str, Any],
     out: Path,
     progress: replay.Progress | None,
 ) -> None:
@@ -285,7 +298,7 @@ def _write(
         "nv": who.layout.nv,
         "versions": who.versions,
         "platform": who.platform,
-        "metrics": {key: _rounded(value) for key, value in metrics.items()},
+        "metrics": {key: _rounded(value) for key, value in measured.items()},
         "pairs": who.layout.pairs,
     }
     text = json.dumps(about, indent=1, allow_nan=False)

@@ -26,11 +26,8 @@ from workcell.guard.halt import HaltLatch
 from workcell.guard.verdict import CheckState, Verdict
 from workcell.scenario import Scenario
 from workcell.scene.cell import Cell
-from workcell.trace.compare import PLANT_REASON
 from workcell.trace.reference import States
 from workcell.trace.table import Trace, TraceWriter, load
-
-__all__ = ["PLANT_REASON", "RecordedCheck", "Replay", "closed_loop", "open_loop", "scenario_of"]
 
 Progress = Callable[[int, int], None]
 
