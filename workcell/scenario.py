@@ -497,8 +497,9 @@ class Scenario(_Table):
         return tomli_w.dumps(_without_none(self.model_dump(mode="json")))
 
     def digest(self) -> str:
-        """SHA-256 over the resolved content, independent of layout and comments of the file."""
-        content = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        """SHA-256 over the resolved content that a run depends on, independent of layout and comments of the file."""
+        resolved = self.model_dump(mode="json", exclude={"vary"})
+        content = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()
 
 
@@ -582,21 +583,22 @@ def _apply(content: dict[str, Any], override: str, path: Path) -> None:
             f"--set {key}: {last!r} would replace one of several entries; name a key inside it",
             file=path,
         )
-    if last == "file" and parents[-1:] == ["operator"]:
-        _make_recording(node, str(value))
+    if parents[-1:] == ["operator"] and last == "file":
+        here = Path(str(value))
+        # A file seen from the working folder is that one, any other is relative to the scenario.
+        _become(node, "recording", file=str(here.resolve() if here.is_file() else here))
+    elif parents[-1:] == ["operator"] and last == "kind":
+        _become(node, str(value))
     else:
         node[last] = value
 
 
-def _make_recording(operator: dict[str, Any], file: str) -> None:
-    """Any operator given a file becomes a recording of it, keeping the keys a recording has.
-
-    A file that exists seen from the working folder is that one, else it is relative to the scenario.
-    """
-    kept = {key: value for key, value in operator.items() if key in Recording.model_fields}
+def _become(operator: dict[str, Any], kind: str, **settings: Any) -> None:
+    """Turn a table into an operator of a kind; keys that kind does not have go with the old one."""
+    table = _TAGGED.get(kind)
+    kept = {key: x for key, x in operator.items() if table is None or key in table.model_fields}
     operator.clear()
-    here = Path(file)
-    operator.update(kept, kind="recording", file=str(here.resolve()) if here.is_file() else file)
+    operator.update(kept | settings, kind=kind)
 
 
 def _descend(node: Any, part: str, key: str, path: Path) -> Any:
