@@ -13,7 +13,7 @@ from workcell.scene import cell as scene
 
 _DUET: dict[str, Any] = {
     "name": "duet",
-    "simulation": {"plant": "kinematic", "duration_s": 5.0, "period_s": 0.004},
+    "simulation": {"plant": "kinematic", "duration_s": 13.0, "period_s": 0.008},
     "arm": [
         {
             "name": "surgeon",

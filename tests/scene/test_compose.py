@@ -99,7 +99,7 @@ def test_obstacles_are_static_geoms_of_the_world_with_their_own_names(tmp_path):
 
 
 def test_the_simulation_steps_at_the_control_period(tmp_path):
-    assert cells.build(tmp_path, cells.duet()).model.opt.timestep == 0.004
+    assert cells.build(tmp_path, cells.duet()).model.opt.timestep == 0.008
 
 
 def test_refusals_of_all_arms_come_together(tmp_path):

@@ -1,0 +1,63 @@
+"""The package works from a built wheel in an empty folder: models and scenarios travel with it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory) -> Path:
+    """The wheel's content in a folder of its own, as an installer would lay it out."""
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "hatchling",
+            "build",
+            "--target",
+            "wheel",
+            "--directory",
+            str(folder),
+        ],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder / "site")
+    return folder / "site"
+
+
+def call(site: Path, cwd: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "workcell", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": str(site)},
+    )
+
+
+@pytest.mark.long
+def test_the_wheel_lists_and_runs_from_an_empty_folder(unpacked, tmp_path):
+    listed = call(unpacked, tmp_path, "list")
+    assert listed.returncode == 0, listed.stderr
+    for scenario in (ROOT / "scenarios").glob("*.toml"):
+        assert scenario.stem in listed.stdout
+    short = ("--set", "simulation.duration_s=0.2", "--set", "expect={contact=false}")
+    ran = call(unpacked, tmp_path, "run", "handover", *short)
+    assert ran.returncode == 0, ran.stderr + ran.stdout
+    scene = (tmp_path / "runs" / "handover" / "scene" / "scene.xml").read_text()
+    assert "surgeon" in scene
+    assert str(ROOT) not in scene
