@@ -63,8 +63,18 @@ class Steering:
     turn_rad: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     """(3,) rotation vector in the world."""
     t_min_steps: int = 0
-    next_criterion: bool = False
+    criterion_steps: int = 0
     quit: bool = False
+
+    def and_then(self, later: Steering) -> Steering:
+        """Both together: the ways and turns of a frame are small, so their order does not matter."""
+        return Steering(
+            self.way_m + later.way_m,
+            self.turn_rad + later.turn_rad,
+            self.t_min_steps + later.t_min_steps,
+            self.criterion_steps + later.criterion_steps,
+            self.quit or later.quit,
+        )
 
     def moved(
         self, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]
@@ -77,15 +87,13 @@ class Keys:
     """Collects key presses and reads the gamepad.
 
     Args:
-        arm: The arm whose target keys and gamepad move.
         gamepad: Whether to open the first gamepad.
 
     Raises:
         InputError: a gamepad is wanted and there is none, or pygame is not installed.
     """
 
-    def __init__(self, arm: str, *, gamepad: bool = False):
-        self.arm = arm
+    def __init__(self, *, gamepad: bool = False):
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._pad = _open_gamepad() if gamepad else None
 
@@ -103,7 +111,7 @@ class Keys:
             elif key in TURNS:
                 steering.turn_rad += STEP_RAD * np.array(TURNS[key])
             elif key == _CRITERION:
-                steering.next_criterion = True
+                steering.criterion_steps += 1
             elif key == _QUIT:
                 steering.quit = True
             elif key in (_T_MIN_DOWN, _T_MIN_UP):

@@ -1,17 +1,16 @@
 """Live tele-operation: MuJoCo's passive viewer at one end, a run like any other behind it.
 
     mouse, keys, gamepad -> marker of the target -> samples -> live operator -> controller -> trace
-    trace's present tick -> picture and text
 
-The viewer shows a model of its own, the scene plus one draggable marker for every live arm, on data
-of its own: nothing done in the window can push the simulated arms, and the scene that is simulated
-is the one a replay uses. Time is the wall clock's, held back to one tick a period; a tick that comes
-late is counted and reported.
+Time is the wall clock's, held back to one tick a period; a tick that comes late is counted and
+reported. The window (workcell.window) draws in threads of its own, on a model of its own, so that
+the scene that is simulated is the one a replay uses.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -19,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import mujoco.viewer
 import numpy as np
 
 from workcell import run as runner
@@ -30,18 +28,13 @@ from workcell.motion.samples import Sample
 from workcell.operator_file import write_replay
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
-from workcell.steering import CRITERIA, T_MIN_STEP_S, Keys, Steering
+from workcell.steering import CRITERIA, T_MIN_STEP_S, Steering
 from workcell.stream import Stream
+from workcell.window import FRAME_S, Picture, Pose, Window
 
-FRAME_S = 1 / 60
-"""Time between two pictures, and between two samples: screens redraw at 60 Hz."""
 GIVE_UP_S = 0.1
 """When this far behind the clock, the run goes on from where it is instead of racing to catch up."""
 SMALLEST_T_MIN_S = 0.1
-MARKER_RADIUS_M = 0.025
-MARKER_RGBA = (0.2, 0.75, 0.35, 0.6)
-_WITNESS_RGBA = np.array([0.95, 0.75, 0.1, 1.0], dtype=np.float32)
-_WITNESS_WIDTH = 4.0
 
 
 @dataclass
@@ -128,9 +121,15 @@ def teleop(
     cell = runner.prepare(scenario, out / runner.SCENE_FOLDER)
     (out / runner.SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     stream = Stream(cell) if rerun else None
-    with _Window(cell, out / runner.SCENE_FOLDER / runner.SCENE_FILE, live, gamepad) as window:
+    data = mujoco.MjData(cell.model)
+    cell.place_home(data)
+    mujoco.mj_kinematics(cell.model, data)
+    markers = {arm.name: tool_pose(data, arm.tool_site) for arm in cell.arms if arm.name in live}
+    scene_xml = out / runner.SCENE_FOLDER / runner.SCENE_FILE
+    with Window(scene_xml, markers, data.qpos, gamepad=gamepad) as window:
         session = _Session(cell, window, stream, say)
         ending = runner.simulate(cell, out, watch=session.watch)
+    session.pace.account.frames = window.frames
     if stream:
         stream.close()
     summary = runner.conclude(cell, out, ending)
@@ -146,160 +145,57 @@ class _Session:
     """What happens between two ticks."""
 
     def __init__(
-        self, cell: Cell, window: _Window, stream: Stream | None, say: Callable[[str], None]
+        self, cell: Cell, window: Window, stream: Stream | None, say: Callable[[str], None]
     ):
         self._cell, self._window, self._stream, self._say = cell, window, stream, say
         self.pace = Pace(cell.period_s)
-        self._next_frame_s = 0.0
+        self._next_picture_s = -math.inf
+        self._read = 0
+        """Number of the last reading that was used."""
 
     def watch(self, tick: int, data: mujoco.MjData, controller: Controller) -> bool:
         """Wait for the clock, take what the person did, show the last tick; True ends the run."""
-        if tick == 0:
-            self._window.place(data, controller)
         self.pace.wait(tick)
-        if self._stream and tick:
-            self._stream.show(controller.record, data)
-        now = time.perf_counter()
-        if now < self._next_frame_s:
-            return False
-        self._next_frame_s = now + FRAME_S
-        self.pace.account.frames += 1
-        steering = self._window.frame(data, controller if tick else None, self.pace.account)
-        if steering is None:
-            return True
-        self._tune(controller, steering)
-        for arm, (position_m, wxyz) in self._window.markers().items():
-            operator = controller.operators[arm]
-            if isinstance(operator, LiveOperator):
-                operator.offer(Sample(tick * self._cell.period_s, position_m, wxyz))
-        return False
+        reading, asked = self._window.read()
+        self._tune(controller, asked)
+        if reading.number > self._read:
+            self._read = reading.number
+            for arm, (position_m, wxyz) in reading.markers.items():
+                operator = controller.operators[arm]
+                if isinstance(operator, LiveOperator):
+                    operator.offer(Sample(tick * self._cell.period_s, position_m, wxyz))
+        if tick:
+            self._show(data, controller)
+        return asked.quit or not self._window.is_open
 
-    def _tune(self, controller: Controller, steering: Steering) -> None:
+    def _show(self, data: mujoco.MjData, controller: Controller) -> None:
+        record, now_s = controller.record, time.perf_counter()
+        if self._stream:
+            self._stream.show(record, data)
+        if now_s < self._next_picture_s:
+            return
+        self._next_picture_s = now_s + FRAME_S
+        i, j = record.witness_i_m, record.witness_j_m
+        self._window.show(
+            Picture(
+                np.array(data.qpos),
+                record.time_s,
+                status_text(self._cell, controller, self.pace.account),
+                None if i is None or j is None else (i, j),
+            )
+        )
+
+    def _tune(self, controller: Controller, asked: Steering) -> None:
         settings: dict[str, Any] = {}
-        if steering.t_min_steps:
-            wanted = controller.settings.t_min_s + steering.t_min_steps * T_MIN_STEP_S
+        if asked.t_min_steps:
+            wanted = controller.settings.t_min_s + asked.t_min_steps * T_MIN_STEP_S
             settings["t_min_s"] = max(SMALLEST_T_MIN_S, round(wanted, 6))
-        if steering.next_criterion:
-            index = CRITERIA.index(controller.settings.criterion)
-            settings["criterion"] = CRITERIA[(index + 1) % len(CRITERIA)]
+        if asked.criterion_steps:
+            index = CRITERIA.index(controller.settings.criterion) + asked.criterion_steps
+            settings["criterion"] = CRITERIA[index % len(CRITERIA)]
         if settings:
             controller.tune(**settings)
             self._say(", ".join(f"{key} = {value}" for key, value in settings.items()))
-
-
-class _Window:
-    """The viewer with its own model and data."""
-
-    def __init__(self, cell: Cell, scene_xml: Path, live: list[str], gamepad: bool):
-        spec = mujoco.MjSpec.from_file(str(scene_xml))
-        for arm in live:
-            body = spec.worldbody.add_body(name=marker_name(arm), mocap=True)
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                size=[MARKER_RADIUS_M, MARKER_RADIUS_M, 2 * MARKER_RADIUS_M],
-                rgba=MARKER_RGBA,
-                contype=0,
-                conaffinity=0,
-            )
-        self._cell = cell
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        self._mocap = {
-            arm: int(self._model.body_mocapid[self._model.body(marker_name(arm)).id])
-            for arm in live
-        }
-        self._keys = Keys(live[0], gamepad=gamepad)
-        self._handle: Any = None
-
-    def __enter__(self) -> _Window:
-        try:
-            self._handle = mujoco.viewer.launch_passive(
-                self._model,
-                self._data,
-                key_callback=self._keys.press,
-                show_left_ui=False,
-                show_right_ui=False,
-            )
-        except Exception as error:  # GLFW and MuJoCo raise what they like where there is no display
-            raise InputError(
-                f"the viewer cannot be opened: {error}; a display is needed (DISPLAY)"
-            ) from error
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._handle.close()
-
-    def place(self, data: mujoco.MjData, controller: Controller) -> None:
-        """Put the markers where the tools start."""
-        with self._handle.lock():
-            self._data.qpos[:] = data.qpos
-            mujoco.mj_kinematics(self._model, self._data)
-            for arm, mocap in self._mocap.items():
-                operator = controller.operators[arm]
-                if isinstance(operator, LiveOperator):
-                    self._data.mocap_pos[mocap] = operator.start.position_m
-                    self._data.mocap_quat[mocap] = operator.start.wxyz
-
-    def markers(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Pose of every live arm's marker."""
-        return {
-            arm: (self._data.mocap_pos[mocap].copy(), self._data.mocap_quat[mocap].copy())
-            for arm, mocap in self._mocap.items()
-        }
-
-    def frame(
-        self, data: mujoco.MjData, controller: Controller | None, account: RealTime
-    ) -> Steering | None:
-        """Show the state and take what the person did since the last picture; None when the window is closed."""
-        if not self._handle.is_running():
-            return None
-        steering = self._keys.take(FRAME_S)
-        with self._handle.lock():
-            mocap = self._mocap[self._keys.arm]
-            self._data.mocap_pos[mocap], self._data.mocap_quat[mocap] = steering.moved(
-                self._data.mocap_pos[mocap], self._data.mocap_quat[mocap]
-            )
-            self._data.qpos[:] = data.qpos
-            self._data.time = data.time
-            # Kinematics alone: no forces, no control callback, no mouse that pushes arms.
-            mujoco.mj_kinematics(self._model, self._data)
-            mujoco.mj_camlight(self._model, self._data)
-            if controller is not None:
-                self._draw_witness(controller)
-        if controller is not None:
-            self._handle.set_texts(
-                (
-                    mujoco.mjtFontScale.mjFONTSCALE_150,
-                    mujoco.mjtGridPos.mjGRID_TOPLEFT,
-                    *status_text(self._cell, controller, account),
-                )
-            )
-        self._handle.sync()
-        return None if steering.quit else steering
-
-    def _draw_witness(self, controller: Controller) -> None:
-        scene, record = self._handle.user_scn, controller.record
-        scene.ngeom = 0
-        if record.witness_i_m is None or record.witness_j_m is None:
-            return
-        line = scene.geoms[0]
-        mujoco.mjv_initGeom(
-            line,
-            mujoco.mjtGeom.mjGEOM_LINE,
-            np.zeros(3),
-            np.zeros(3),
-            np.eye(3).ravel(),
-            _WITNESS_RGBA,
-        )
-        mujoco.mjv_connector(
-            line, mujoco.mjtGeom.mjGEOM_LINE, _WITNESS_WIDTH, record.witness_i_m, record.witness_j_m
-        )
-        scene.ngeom = 1
-
-
-def marker_name(arm: str) -> str:
-    """Name of the draggable body of an arm."""
-    return f"target_{arm}"
 
 
 def status_text(cell: Cell, controller: Controller, account: RealTime) -> tuple[str, str]:
@@ -325,3 +221,10 @@ def status_text(cell: Cell, controller: Controller, account: RealTime) -> tuple[
         else:
             lines[f"{name} speed"] = f"{100 * row.scale:.0f} %, {row.job}"
     return "\n".join(lines), "\n".join(lines.values())
+
+
+def tool_pose(data: mujoco.MjData, site: int) -> Pose:
+    """Pose of a tool site, kinematics done."""
+    wxyz = np.empty(4)
+    mujoco.mju_mat2Quat(wxyz, data.site_xmat[site])
+    return data.site_xpos[site].copy(), wxyz
