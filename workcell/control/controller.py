@@ -517,10 +517,22 @@ class Controller:
         arm.command_rad_s = factor * arm.wanted_rad_s
         arm.factor = -factor if rung.attempt == "back_off" else factor
         row.scale = arm.factor
+        if bound.factor == 0.0 and not rung.attempt and self._path_is_free(arm, proximity, other):
+            # At d_min nothing may close, not even the last digits of a tool error. Where the path
+            # itself leads away, its clock goes on: an arm that waited for its clock, and the
+            # clock for the arm, would never leave.
+            arm.factor = 1.0
         row.reason = "" if choice.limiter == "none" else choice.limiter
         if bound.shortfall_m_s > 0.0:
             row.reason = "other_arm"
         row.mode = self._mode_of_support(arm, row, proximity)
+
+    def _path_is_free(
+        self, arm: _Arm, proximity: Proximity, other: NDArray[np.float64]
+    ) -> bool:
+        """Whether no pair would limit the arm if it only moved as its target does."""
+        own = proximity.jacobian[np.ix_(arm.owned_pairs, arm.dofs)] @ arm.ik.path_rad_s
+        return self._bound(arm, proximity, own, other[arm.owned_pairs]).factor == 1.0
 
     def _yield(
         self, arm: _Arm, row: ArmRecord, proximity: Proximity, other: NDArray[np.float64]

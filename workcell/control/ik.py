@@ -239,6 +239,8 @@ class ArmIk:
         self._tool_rows = np.zeros((6, len(arm.dofs)))
         self._tool_rates = np.zeros(6)
         self._low = self._high = np.zeros(len(arm.dofs))
+        self.path_rad_s = np.zeros(len(arm.dofs))
+        """(n,) the part of the last `aim` that the target's own motion asks for, corrections of the tool error aside."""
 
     @property
     def tasks(self) -> list[BaseTask]:
@@ -293,7 +295,10 @@ class ArmIk:
             self._tool_rows, self._tool_rates = self._tool_rows[:5], self._tool_rates[:5]
         gram = self._tool_rows @ self._tool_rows.T
         gram.flat[:: len(gram) + 1] += LEAST_MOTION_DAMPING
-        return self._tool_rows.T @ np.linalg.solve(gram, self._tool_rates)
+        path_rates = ahead[: len(self._tool_rates)] * (-self.tool.gain / self.dt_s)
+        both = np.linalg.solve(gram, np.stack([self._tool_rates, path_rates], axis=1))
+        whole, self.path_rad_s = (self._tool_rows.T @ both).T
+        return whole
 
     def solve(
         self,
