@@ -7,6 +7,7 @@ dropped, can be told from one that was damaged, which is refused.
 
 from __future__ import annotations
 
+import io
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,9 +19,6 @@ from workcell.errors import TraceError
 _CRC_KEY = b"workcell_crc32"
 _END_OF_STREAM = b"\xff\xff\xff\xff\0\0\0\0"
 """What ends an Arrow stream that was closed; one that was cut off lacks it."""
-
-_SINK_BYTES = 1 << 20
-"""Larger than a batch of two arms (0.5 MB), so that a batch is a single write."""
 
 
 class JournalWriter:
@@ -36,9 +34,13 @@ class JournalWriter:
 
     def __init__(self, path: Path, schema: pa.Schema):
         self.path = path
+        self.broken = False
+        """Whether a write has failed; what was written before stays readable."""
+        self._end = 0
+        self._memory = io.BytesIO()
+        self._stream = pa.ipc.new_stream(self._memory, schema)
         try:
-            self._sink = path.open("wb", buffering=_SINK_BYTES)
-            self._stream = pa.ipc.new_stream(self._sink, schema)
+            self._file = path.open("wb", buffering=0)
         except OSError as error:
             raise TraceError(f"{path}: cannot be written: {error}") from error
         self._schema_crc = zlib.crc32(schema.serialize())
@@ -46,16 +48,35 @@ class JournalWriter:
     def write(self, batch: pa.RecordBatch) -> None:
         """Hands a batch to the operating system: it outlives this process from then on."""
         checksum = _checksum(batch, self._schema_crc)
-        try:
-            self._stream.write_batch(batch, custom_metadata={_CRC_KEY: checksum})
-            self._sink.flush()
-        except OSError as error:
-            raise TraceError(f"{self.path}: cannot be written: {error}") from error
+        self._stream.write_batch(batch, custom_metadata={_CRC_KEY: checksum})
+        self._hand_over()
 
     def close(self) -> None:
         """Ends the journal."""
         self._stream.close()
-        self._sink.close()
+        self._hand_over()
+        self._file.close()
+
+    def _hand_over(self) -> None:
+        """Write what Arrow has laid down in memory, all of it or none."""
+        content = self._memory.getvalue()
+        self._memory.seek(0)
+        self._memory.truncate()
+        if self.broken:
+            raise TraceError(f"{self.path}: an earlier write has failed")
+        rest = memoryview(content)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            # On a full disk a part may have been written; without it the journal ends with a whole batch.
+            self.broken = True
+            self._file.truncate(self._end)
+            self._file.close()
+            raise TraceError(
+                f"{self.path}: cannot be written: {error}; what was written before is intact"
+            ) from error
+        self._end += len(content)
 
 
 class JournalReader:

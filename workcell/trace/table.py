@@ -178,7 +178,9 @@ class TraceWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self.close()
+        # After a failed write there is no room for a table: the journal stays, and `load` reads it.
+        if not self._rows_out.broken:
+            self.close()
 
     def _bind(self, row: _Row) -> Callable[[_Row], _Values]:
         """Looks once at how rows are built and returns the fastest way to take them apart."""
