@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -206,6 +206,46 @@ def sweep(
     return OK if complete and report.all_succeeded(folder) else FAILED
 
 
+def falsify(
+    scenario: ScenarioName,
+    /,
+    target: Annotated[
+        Literal["distance", "ttc", "tool_error", "impasse"],
+        tyro.conf.arg(help="what the worst case is worst in"),
+    ] = "distance",
+    runs: Annotated[int, tyro.conf.arg(metavar="N", help="runs of the search")] = 160,
+    seed: Annotated[int, tyro.conf.arg(metavar="S", help="of the search")] = 0,
+    limit: Annotated[
+        float | None,
+        tyro.conf.arg(help="beyond which a run fails, in m or s; default the law's own"),
+    ] = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="DIR", help="folder; default runs/falsify_<scenario>_<target>"),
+    ] = None,
+    set: Overrides = (),
+) -> int:
+    """Search the variations of a scenario for one that breaks the controller, and shrink what is found to a small scenario."""
+    from workcell.study import falsify as study
+    from workcell.study.vary import Variations
+    from workcell.study.workers import pool
+
+    variations = Variations(scenario_file.load(scenario, set))
+    folder = out or Path("runs") / f"falsify_{Path(scenario).stem}_{target}"
+    with pool(workers, cluster) as (executor, _), _progress("searching") as bar:
+        case = study.falsify(
+            variations, target, folder, executor, runs=runs, seed=seed, limit=limit, progress=bar
+        )
+    verdict = "FAILS" if case.fails else "none failed; the worst"
+    _out.print(f"{case.tried} runs, {verdict}: {case.scenario.description}", markup=False)
+    for key, value in case.values.items():
+        _out.print(f"  {key} = {value}", markup=False)
+    _out.print(str(folder / study.CASE_FILE))
+    return FAILED if case.fails else OK
+
+
 def _report(summary: dict, folder: Path) -> None:
     table = Table("expectation", "wanted", "measured", "held", box=None)
     for name, verdict in summary["expectations"].items():
@@ -250,6 +290,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "replay": replay,
     "plot": plot,
     "sweep": sweep,
+    "falsify": falsify,
     "compare": cli_regression.compare,
     "rerun": cli_regression.rerun,
     "bless": cli_regression.bless,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from workcell.control.controller import Controller
 from workcell.guard.checker import Checker
-from workcell.guard.link import CLOSED, Request
+from workcell.guard.link import CLOSED, NOBODY, Request
 from workcell.guard.settings import CheckSettings
 from workcell.scene.cell import Cell
 
@@ -99,10 +99,21 @@ class ContactJudge:
     def look(self, tick: int, data: mujoco.MjData, controller: Controller) -> None:
         """See `workcell.run.simulate`: before every tick, the true state and the open exchanges."""
         if tick % self._every == 0:
-            self.judge(tick, np.array(data.qpos), np.array(data.qvel), controller.windows)
+            self.judge(
+                tick,
+                np.array(data.qpos),
+                np.array(data.qvel),
+                controller.windows,
+                controller.grasps.holders,
+            )
 
     def judge(
-        self, tick: int, qpos: NDArray[np.float64], qvel: NDArray[np.float64], windows: list[str]
+        self,
+        tick: int,
+        qpos: NDArray[np.float64],
+        qvel: NDArray[np.float64],
+        windows: list[str],
+        holders: dict[str, str | None] | None = None,
     ) -> None:
         """Take one configuration into account.
 
@@ -111,16 +122,20 @@ class ContactJudge:
             qpos: (nq,) true positions.
             qvel: (nv,) true velocities.
             windows: Names of the exemptions that are open.
+            holders: For every instrument the arm that holds it; left out where there is none.
         """
+        settings = self._checker.settings
+        held_by = [(holders or {}).get(item.name) for item in settings.instruments]
         self._opened = {name: self._opened.get(name, tick) for name in windows}
         answer = self._checker.answer(
             Request(
                 sequence=tick + 1,
                 tick=tick,
-                opened_ticks=tuple(
-                    self._opened.get(e.name, CLOSED) for e in self._checker.settings.exemptions
-                ),
+                opened_ticks=tuple(self._opened.get(e.name, CLOSED) for e in settings.exemptions),
                 qpos=qpos,
+                holders=tuple(
+                    NOBODY if arm is None else settings.arm_index(arm) for arm in held_by
+                ),
             )
         )
         fault = answer.exemption_fault >= 0

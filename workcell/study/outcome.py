@@ -11,7 +11,7 @@ import resource
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,8 +74,8 @@ class Outcome:
     """Smallest high-resolution distance that a support arm's own motion was closing, m."""
     smallest_ttc_s: float | None = None
     """Smallest time to collision from measured velocities, s."""
-    smallest_support_ttc_s: float | None = None
-    """The same over pairs with a support arm, where its slowing down could still keep it, s."""
+    smallest_ttc_command_own_s: float | None = None
+    """The same from commanded velocities, but where the other arm alone broke the bound, s."""
     tool_error_m: float | None = None
     """Largest tool error of a priority arm, m."""
     tool_error_rad: float | None = None
@@ -119,16 +119,8 @@ def perform(run: int, setting: str, scenario: Scenario, keep_failures: bool) -> 
         outcome = _outcome(run, setting, scenario, folder, keep_failures)
         keep = keep_failures and outcome.status in ("ran", "fault") and not outcome.success
         files = _files(folder) if keep else {}
-    return Report(
-        Outcome(
-            **{
-                **outcome.__dict__,
-                "wall_s": time.perf_counter() - started,
-                "peak_memory_mb": _peak_memory_mb(),
-            }
-        ),
-        files,
-    )
+    cost_s = time.perf_counter() - started
+    return Report(replace(outcome, wall_s=cost_s, peak_memory_mb=_peak_memory_mb()), files)
 
 
 def _outcome(
@@ -188,7 +180,7 @@ def _measure(
         smallest_pair=None if judge.smallest_pair is None else " and ".join(judge.smallest_pair),
         smallest_support_m=_finite(judge.smallest_support_m),
         smallest_ttc_s=_number(values["smallest_ttc_s"]),
-        smallest_support_ttc_s=smallest_support_ttc_s(trace, support),
+        smallest_ttc_command_own_s=_number(values["smallest_ttc_command_own_s"]),
         tool_error_m=_largest(values, priority, "max_tool_error_m"),
         tool_error_rad=_largest(values, priority, "max_tool_error_rad"),
         jerk_rad_s3=_largest(values, support, "peak_joint_jerk_rad_s3"),
@@ -211,27 +203,6 @@ def done_at_s(trace: Trace, arm: str) -> float:
     """When the arm, whose jobs are done at the end of the trace, was done with them, s."""
     undone = np.flatnonzero(trace[f"{arm}.job"].astype(str) != "done")
     return 0.0 if not undone.size else float(trace["time_s"][undone[-1]])
-
-
-def smallest_support_ttc_s(trace: Trace, support: list[str]) -> float | None:
-    """Smallest measured time to collision that the support arms answer for, s.
-
-    Over the pairs in which one takes part and the ticks in which slowing down was enough: where
-    the other arm alone breaks the bound (reason `other_arm`), no factor could have kept it.
-    """
-    owned = [
-        any(geom.split("/")[0] in support for geom in pair) and "/" in "".join(pair)
-        for pair in trace.layout.pairs
-    ]
-    keepable = np.ones(len(trace), dtype=bool)
-    for arm in support:
-        keepable &= trace[f"{arm}.reason"].astype(str) != "other_arm"
-    distance = trace["pair_distance_m"][keepable][:, owned]
-    rate = trace["pair_rate_m_s"][keepable][:, owned]
-    closing = rate < 0.0
-    if not closing.any():
-        return None
-    return float(np.min(np.maximum(distance[closing], 0.0) / -rate[closing]))
 
 
 def _files(folder: Path) -> dict[str, bytes]:

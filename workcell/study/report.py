@@ -61,8 +61,8 @@ QUANTITIES = (
     Quantity("done_s", "time to all jobs done, s"),
     Quantity("smallest_m", "smallest distance, mm", 1e3),
     Quantity("smallest_support_m", "smallest distance a support arm closed, mm", 1e3),
-    Quantity("smallest_ttc_s", "smallest time to collision, s"),
-    Quantity("smallest_support_ttc_s", "smallest time to collision a support arm answers for, s"),
+    Quantity("smallest_ttc_s", "smallest measured time to collision, s"),
+    Quantity("smallest_ttc_command_own_s", "smallest commanded time to collision, s"),
     Quantity("tool_error_m", "largest tool error of a priority arm, mm", 1e3),
     Quantity("jerk_rad_s3", "largest joint jerk of a support arm, rad/s³"),
 )
