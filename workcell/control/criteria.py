@@ -106,8 +106,7 @@ def objective(
     """
     rows = finite("jacobian", jacobian)
     n = rows.shape[1]
-    hessian = np.zeros((n, n))
-    linear = np.zeros(n)
+    hessian, linear = np.zeros((n, n)), np.zeros(n)
     if criterion == "artc":
         linear = artc_signed_gradient(distance_m, rows)
     elif criterion == "armd":
@@ -134,7 +133,7 @@ def _floor(distance_m: ArrayLike) -> Array:
 
 
 def _mean(terms: Array) -> float:
-    return float(terms.mean()) if terms.size else 0.0
+    return float(np.add.reduce(terms)) / terms.size if terms.size else 0.0
 
 
 def _weighted_rows(jacobian: ArrayLike, weights: Array) -> Array:

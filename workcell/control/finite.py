@@ -4,6 +4,8 @@ that is NaN would count as "not closing" and grant full speed.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,8 +23,19 @@ def finite(name: str, values: ArrayLike) -> NDArray[np.float64]:
         WorkcellError: An entry is NaN or infinite.
     """
     array = np.asarray(values, dtype=float)
+    # One product tells at a third of the cost of looking at every entry: whatever is not finite
+    # makes the sum of squares so too. Huge numbers can as well; only the entries tell them apart.
+    if math.isfinite(np.vdot(array, array)):
+        return array
     good = np.isfinite(array)
     if not good.all():
         index = tuple(int(k) for k in np.argwhere(~good)[0])
         raise WorkcellError(f"{name}{list(index)} is {array[index]}; every entry must be finite")
     return array
+
+
+def alike(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """The arrays broadcast against each other; as they are where they have one shape already."""
+    if all(array.shape == arrays[0].shape for array in arrays[1:]):
+        return arrays
+    return tuple(np.broadcast_arrays(*arrays))

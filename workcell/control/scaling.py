@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workcell.control.finite import finite
+from workcell.control.finite import alike, finite
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def pairwise_factor(
     _require_positive("t_min_s", t_min_s)
     if not 0.0 <= standoff_m < np.inf:
         raise WorkcellError(f"standoff_m is {standoff_m}; must be a finite number >= 0")
-    distance, own, other = np.broadcast_arrays(
+    distance, own, other = alike(
         finite("distance_m", distance_m),
         finite("rate_own_m_s", rate_own_m_s),
         finite("rate_other_m_s", rate_other_m_s),
@@ -110,12 +110,12 @@ def pairwise_factor(
         np.divide(allowance, -own, out=required, where=closing)
     if distance.size == 0:
         return ScaleBound(1.0, -1, np.inf, 0.0, -1)
-    pair = int(np.argmin(required))
+    pair = int(required.argmin())
     least = float(required[pair])
     factor = 0.0 if least <= 0.0 else min(least, 1.0)
     # A pair that sets the factor is met exactly, and only rounding would say otherwise.
     margin = np.where(closing & (allowance >= 0.0), 0.0, allowance + factor * own)
-    worst = int(np.argmin(margin))
+    worst = int(margin.argmin())
     short = max(0.0, -float(margin[worst]))
     return ScaleBound(
         factor=factor,
@@ -156,20 +156,23 @@ def acceleration_interval(
         WorkcellError: An input is not finite or not positive where it must be.
     """
     _require_positive("period_s", period_s)
-    previous, wanted, limit = np.broadcast_arrays(
+    previous, wanted, limit = alike(
         finite("previous_rad_s", previous_rad_s),
         finite("wanted_rad_s", wanted_rad_s),
         finite("limit_rad_s2", limit_rad_s2),
     )
-    if not (limit > 0.0).all():
+    if not limit.min(initial=np.inf) > 0.0:
         raise WorkcellError(f"limit_rad_s2 is {limit.tolist()}; every entry must be > 0")
     change = limit * period_s
-    moving = wanted != 0.0
-    with np.errstate(over="ignore"):  # Joints that hardly move leave the factor free.
-        ends = (previous[moving] + np.outer([-1.0, 1.0], change[moving])) / wanted[moving]
-    lowest = max(0.0, float(np.max(ends.min(axis=0), initial=0.0)))
-    highest = min(1.0, float(np.min(ends.max(axis=0), initial=1.0)))
-    if lowest <= highest and (np.abs(previous[~moving]) <= change[~moving]).all():
+    lowest, highest, standing_can_stop = 0.0, 1.0, True
+    # An arm's few joints are done one by one in a fifth of the time that arrays of them take.
+    for v, w, reach in zip(previous.tolist(), wanted.tolist(), change.tolist(), strict=True):
+        if w == 0.0:
+            standing_can_stop &= abs(v) <= reach
+        else:  # A joint that hardly moves leaves the factor free: the quotients are infinite.
+            ends = (v - reach) / w, (v + reach) / w
+            lowest, highest = max(lowest, min(ends)), min(highest, max(ends))
+    if lowest <= highest and standing_can_stop:
         return AccelerationInterval(lowest, highest, feasible=True)
     least = _least_violation(previous / change, wanted / change)
     return AccelerationInterval(least, least, feasible=False)

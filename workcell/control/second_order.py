@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import finite
-from workcell.control.proximity import CROSSING_TOLERANCE_M, PairGeometry, Proximity, half_axis
+from workcell.control.proximity import CROSSING_TOLERANCE_M, PairGeometry, Proximity, cross
 
 Array = NDArray[np.float64]
 
@@ -72,10 +72,9 @@ def second_order(
     w_i, w_j, n = proximity.witness_i_m, proximity.witness_j_m, proximity.normal
     i = _motion(geometry, data, geometry.moves_i, geometry.body_i, w_i, qacc)
     j = _motion(geometry, data, geometry.moves_j, geometry.body_j, w_j, qacc)
-    u = half_axis(data, geometry.geom_i, geometry.half_length_i_m)
-    v = half_axis(data, geometry.geom_j, geometry.half_length_j_m)
-    free_i = _may_slide(w_i - data.geom_xpos[geometry.geom_i], u)
-    free_j = _may_slide(w_j - data.geom_xpos[geometry.geom_j], v)
+    half, centre = geometry.half_axes(data), geometry.centres(data)
+    u, v = half[0::2], half[1::2]
+    free_i, free_j = _may_slide(w_i - centre[0::2], u), _may_slide(w_j - centre[1::2], v)
     between = w_i - w_j
     relative_velocity = i.velocity - j.velocity
     direct = np.vecdot(n, i.acceleration - j.acceleration)
@@ -84,7 +83,7 @@ def second_order(
     slide_i, slide_j, parallel = _sliding(
         u, v, i.omega, j.omega, between, relative_velocity, free_i, free_j
     )
-    turning = np.cross(i.omega, u) * slide_i[:, None] - np.cross(j.omega, v) * slide_j[:, None]
+    turning = cross(i.omega, u) * slide_i[:, None] - cross(j.omega, v) * slide_j[:, None]
     across = relative_velocity + u * slide_i[:, None] - v * slide_j[:, None]
     across = across - np.vecdot(n, across)[:, None] * n
     axis_distance = np.linalg.norm(between, axis=1)
@@ -98,7 +97,7 @@ def second_order(
     # One flat geom: n turns with it, and its half space is all that is known of it.
     round_i, round_j = geometry.radius_i_m > 0.0, geometry.radius_j_m > 0.0
     flat_is_i = round_j & ~round_i
-    n_dot = np.cross(np.where(flat_is_i[:, None], i.omega, j.omega), n)
+    n_dot = cross(np.where(flat_is_i[:, None], i.omega, j.omega), n)
     of_half_space = (
         direct
         + 2.0 * np.vecdot(n_dot, relative_velocity)
@@ -140,9 +139,9 @@ def _motion(
     change = moves @ (data.cdof_dot * data.qvel[:, None] + data.cdof * qacc[:, None])
     arm = point - data.subtree_com[geometry.body_root[body]]
     omega, alpha = twist[:, :3], change[:, :3]
-    velocity = twist[:, 3:] + np.cross(omega, arm)
+    velocity = twist[:, 3:] + cross(omega, arm)
     # A spatial acceleration lacks the centripetal part of a material point's acceleration.
-    acceleration = change[:, 3:] + np.cross(alpha, arm) + np.cross(omega, velocity)
+    acceleration = change[:, 3:] + cross(alpha, arm) + cross(omega, velocity)
     return _Motion(omega=omega, velocity=velocity, acceleration=acceleration)
 
 
@@ -168,8 +167,8 @@ def _sliding(
     the axes: [uu, -uv; uv, -vv] (s', t') = -(u e, v e) differentiated with s and t held.
     """
     uu, vv, uv = np.vecdot(u, u), np.vecdot(v, v), np.vecdot(u, v)
-    drift_i = np.vecdot(np.cross(omega_i, u), between) + np.vecdot(u, relative_velocity)
-    drift_j = np.vecdot(np.cross(omega_j, v), between) + np.vecdot(v, relative_velocity)
+    drift_i = np.vecdot(cross(omega_i, u), between) + np.vecdot(u, relative_velocity)
+    drift_j = np.vecdot(cross(omega_j, v), between) + np.vecdot(v, relative_velocity)
     determinant = uu * vv - uv**2
     # Parallel axes that overlap have many nearest points, wherever MuJoCo put the witness points;
     # those beside each other's ends are at an angle to the line between, and have one.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workcell.control.finite import finite
+from workcell.control.finite import alike, finite
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
@@ -55,10 +55,11 @@ def reciprocal_first_order(
     Raises:
         WorkcellError: An input is not finite.
     """
-    distance, rate = np.broadcast_arrays(
-        finite("distance_m", distance_m), finite("rate_m_s", rate_m_s)
-    )
+    distance, rate = alike(finite("distance_m", distance_m), finite("rate_m_s", rate_m_s))
     gap = distance - _checked_standoff(standoff_m)
+    if gap.size and gap.min() > 0.0:  # Nothing has met yet: the usual case, in a third of the time.
+        with np.errstate(over="ignore"):
+            return np.maximum(-rate, 0.0) / gap
     kappa = np.zeros(gap.shape)
     with np.errstate(over="ignore"):  # A vanishing gap rightly overflows to an infinite kappa.
         np.divide(-rate, gap, out=kappa, where=(rate < 0.0) & (gap > 0.0))
@@ -88,7 +89,7 @@ def reciprocal_second_order(
     Raises:
         WorkcellError: An input is not finite.
     """
-    distance, rate, accel = np.broadcast_arrays(
+    distance, rate, accel = alike(
         finite("distance_m", distance_m),
         finite("rate_m_s", rate_m_s),
         finite("accel_m_s2", accel_m_s2),
@@ -134,14 +135,14 @@ def smallest(kappa_per_s: ArrayLike) -> SmallestTtc:
         WorkcellError: A reciprocal is NaN or negative.
     """
     kappa = np.asarray(kappa_per_s, dtype=float)
-    wrong = ~(kappa >= 0.0)
-    if wrong.any():
-        pair = int(np.argmax(wrong))
-        raise WorkcellError(f"kappa_per_s[{pair}] is {kappa[pair]}; must be a number >= 0")
     if kappa.size == 0:
         return SmallestTtc(ttc_s=np.inf, pair=-1)
-    pair = int(np.argmax(kappa))
-    ttc_s = float(time_from_reciprocal(kappa[pair]))
+    if not kappa.min() >= 0.0:  # The smallest of numbers with a NaN among them is NaN.
+        pair = int(np.argmax(~(kappa >= 0.0)))
+        raise WorkcellError(f"kappa_per_s[{pair}] is {kappa[pair]}; must be a number >= 0")
+    pair = int(kappa.argmax())
+    largest = float(kappa[pair])
+    ttc_s = 1.0 / largest if largest > 0.0 else np.inf
     return SmallestTtc(ttc_s=ttc_s, pair=pair if ttc_s < np.inf else -1)
 
 
