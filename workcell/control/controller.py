@@ -184,6 +184,10 @@ class _Arm:
         self.wanted_rad_s = np.zeros(len(handles.dofs))
         self.task_rad_s = np.zeros(len(handles.dofs))
         self.factor = 1.0
+        self.paused = False
+        """Whether the path stands still while self-motion is tried against an impasse."""
+        self.meeting_key: object = None
+        self.meeting_pairs = none
         self.tried_entry = False
         """Whether another entry has been tried in the present attempt."""
         base = cell.model.body_rootid[cell.model.site_bodyid[handles.tool_site]]
@@ -374,7 +378,7 @@ class Controller:
         """Ask the final check whether the support arms may go on."""
         if self._check is None:
             return
-        verdict = self._check.ask(record.tick, record.qpos, self.windows)
+        verdict = self._check.ask(record.tick, record.qpos, self.windows, self.grasps.holders)
         record.check_state, record.check_distance_m = str(verdict.state), verdict.distance_m
         if self._check.halted:
             for arm in self._arms:
@@ -406,6 +410,8 @@ class Controller:
                 if self.tick:
                     self._advance(arm, arm.jobs, record, proximity)
                 arm.target = arm.jobs.target()
+                if arm.paused:
+                    arm.target = standing(arm.target.position_m, arm.target.wxyz)
                 row.job, row.path_s = arm.jobs.name, arm.jobs.clock_s
                 if arm.jobs.switched:
                     # The new path starts from rest: acceleration now counts from what was really commanded.
@@ -446,7 +452,9 @@ class Controller:
             np.linalg.norm(record.arms[arm.handles.name].tool_position_m - arm.target.position_m)
         )
         jobs.advance(
-            self._dt, 0.0 if off_path > REJOIN_M and arm.factor > 0.0 else arm.factor, around
+            self._dt,
+            0.0 if arm.paused or (off_path > REJOIN_M and arm.factor > 0.0) else arm.factor,
+            around,
         )
         if arm.attempt == "back_off" and not arm.tried_entry:
             arm.tried_entry = jobs.try_another_entry(around)
@@ -499,6 +507,7 @@ class Controller:
             moving=arm.jobs is not None and arm.jobs.moving,
         )
         arm.attempt = row.attempt = rung.attempt
+        arm.paused = rung.paused
         arm.tried_entry = arm.tried_entry and rung.attempt == "back_off"
         row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
         if rung.yielding:
@@ -527,9 +536,7 @@ class Controller:
             row.reason = "other_arm"
         row.mode = self._mode_of_support(arm, row, proximity)
 
-    def _path_is_free(
-        self, arm: _Arm, proximity: Proximity, other: NDArray[np.float64]
-    ) -> bool:
+    def _path_is_free(self, arm: _Arm, proximity: Proximity, other: NDArray[np.float64]) -> bool:
         """Whether no pair would limit the arm if it only moved as its target does."""
         own = proximity.jacobian[np.ix_(arm.owned_pairs, arm.dofs)] @ arm.ik.path_rad_s
         return self._bound(arm, proximity, own, other[arm.owned_pairs]).factor == 1.0
@@ -563,6 +570,7 @@ class Controller:
         settings = self._settings
         distance = proximity.distance_m[arm.owned_pairs]
         reached = distance <= settings.d_min_m
+        reached &= ~np.isin(arm.owned_pairs, self._meeting_pairs(arm))
         counted = np.where(reached, np.minimum(distance, 0.0), distance)
         own, other = (
             np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
@@ -713,25 +721,37 @@ class Controller:
 
     def _meeting_distance_m(self, arm: _Arm, proximity: Proximity) -> float:
         """Smallest distance between what the arm's present job brings together."""
+        pairs = self._meeting_pairs(arm)
+        return float(proximity.distance_m[pairs].min()) if len(pairs) else np.inf
+
+    def _meeting_pairs(self, arm: _Arm) -> NDArray[np.intp]:
+        """Pairs that the arm's present job brings together, or that it leaves after having done so."""
         meeting = None if arm.jobs is None else arm.jobs.meeting
-        if meeting is None:
-            return np.inf
-        name = arm.handles.name
-        distances = [
-            proximity.distance_m[k]
-            for k in arm.all_pairs
-            if self._meets(meeting, name, *map(int, self.cell.pairs.geoms[k]))
-        ]
-        return float(min(distances, default=np.inf))
+        key = (meeting, self.grasps.summary())
+        if arm.meeting_key != key:
+            pairs = (
+                []
+                if meeting is None
+                else [
+                    k
+                    for k in arm.all_pairs
+                    if self._meets(meeting, arm.handles.name, *map(int, self.cell.pairs.geoms[k]))
+                ]
+            )
+            arm.meeting_key, arm.meeting_pairs = key, np.array(pairs, dtype=np.intp)
+        return arm.meeting_pairs
 
     def _meets(self, meeting: Meeting, name: str, g: int, h: int) -> bool:
         """Whether one geom is of this arm's hand and the other of what it is to meet."""
+        moved = self._instrument_geom.get(meeting.instrument or "")
+        if moved is not None and moved not in (g, h):
+            return False  # a hand-over is complete when the instrument is there, not when the hands are
         for mine, theirs in ((g, h), (h, g)):
-            if not self.grasps.part_of_hand(mine, name):
-                continue
-            if meeting.arm is not None and self.grasps.part_of_hand(theirs, meeting.arm):
-                return True
-            if meeting.arm is None and theirs == self._instrument_geom.get(meeting.instrument):
+            if self.grasps.part_of_hand(mine, name) and (
+                theirs == moved
+                if meeting.arm is None
+                else self.grasps.part_of_hand(theirs, meeting.arm)
+            ):
                 return True
         return False
 

@@ -43,7 +43,7 @@ class Grasps:
         self._arms = {arm.name: arm for arm in cell.arms}
         self._items = {item.name: item for item in cell.instruments}
         self._held: dict[str, _Grasp] = {}
-        self._hands = {arm.name: _hand(cell.model, arm) for arm in cell.arms}
+        self._hands = {arm.name: hand_bodies(cell.model, arm) for arm in cell.arms}
         for item in cell.instruments:
             if item.held_by is not None:
                 self.take(item.name, item.held_by, data)
@@ -56,6 +56,11 @@ class Grasps:
     def holding(self, arm: str) -> str | None:
         """Name of the instrument an arm holds."""
         return next((name for name, grasp in self._held.items() if grasp.arm.name == arm), None)
+
+    @property
+    def holders(self) -> dict[str, str | None]:
+        """For every instrument the arm that holds it; None where it lies."""
+        return {name: self.holder(name) for name in self._items}
 
     def summary(self) -> str:
         """Who holds what, for the log: `scalpel=nurse clamp=`."""
@@ -153,7 +158,7 @@ def _tool_pose(
     return data.site_xpos[arm.tool_site], wxyz
 
 
-def _hand(model: mujoco.MjModel, arm: ArmHandles) -> frozenset[int]:
+def hand_bodies(model: mujoco.MjModel, arm: ArmHandles) -> frozenset[int]:
     """The tool's body and the links right before it."""
     bodies, body = [], int(model.site_bodyid[arm.tool_site])
     moved = 0

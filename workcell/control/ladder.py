@@ -6,7 +6,7 @@
               back up along the path, else move so that the near pairs open
               (entered at once, left YIELD_LINGER_S after the last such tick)
     impasse   scaled down to a standstill for IMPASSE_S without progress: attempts in turn to get
-              past (free the tool's rotation, push the elbow to either side, back off), each for
+              past (self-motion with the path stopped, free the tool's rotation, push the elbow to either side, back off), each for
               ATTEMPT_S or until the path goes on
     hold      every attempt is used up: stand and wait; motion resumes when the way is free
     halt      d <= d_min, or the final check's verdict
@@ -29,7 +29,9 @@ ATTEMPT_S = 3.0
 """How long each attempt may take; chosen as twice the time an elbow needs to swing by 0.3 m."""
 PROGRESS_S = 0.3
 """Advance of the path's clock that ends an impasse."""
-ATTEMPTS = ("free_rotation", "elbow_left", "elbow_right", "back_off")
+PAUSED_SHARE = 0.5
+"""First part of an attempt in which the path stands still, so that self-motion alone is not slowed by it."""
+ATTEMPTS = ("self_motion", "free_rotation", "elbow_left", "elbow_right", "back_off")
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Rung:
     """Whether the arm gives way now."""
     attempt: str
     """What is tried against an impasse now, one of `ATTEMPTS`; empty if nothing is."""
+    paused: bool
+    """Whether the path stands still while self-motion is tried."""
     impasse: bool
     """Whether an impasse has been reported and not resolved."""
 
@@ -80,7 +84,7 @@ class Ladder:
         yielding = self._yields and self._linger_s > 0.0
         if not moving or not self._resolves:
             self._stuck_s = 0.0
-            return Rung(yielding, "", False)
+            return Rung(yielding, "", False, False)
         if self._attempt < 0:
             stuck = factor < STANDSTILL_FACTOR and not yielding
             self._stuck_s = self._stuck_s + self._period_s if stuck else 0.0
@@ -93,4 +97,6 @@ class Ladder:
             if self._attempt_s >= ATTEMPT_S:
                 self._attempt, self._attempt_s = self._attempt + 1, 0.0
         trying = 0 <= self._attempt < len(ATTEMPTS)
-        return Rung(yielding, ATTEMPTS[self._attempt] if trying else "", self._attempt >= 0)
+        attempt = ATTEMPTS[self._attempt] if trying else ""
+        paused = trying and attempt != "back_off" and self._attempt_s < PAUSED_SHARE * ATTEMPT_S
+        return Rung(yielding, attempt, paused, self._attempt >= 0)

@@ -316,12 +316,16 @@ class JobSequence:
         """Where this arm's tool point has to go, and the direction its tool should point in at the end (None: as it does)."""
         here = self._target.position_m
         held = next((i for i in around.instruments.values() if i.holder == self._arm), None)
-        tip = here if held is None else _end(held, here, far=True)
+        tip = here if held is None else _end(held, here)
         offset = tip - around.tool_position_m[self._arm] if held is not None else np.zeros(3)
         if isinstance(job, scenario.Fetch):
-            return around.instruments[job.instrument].centre_m, np.array([0.0, 0.0, -1.0])
+            item = around.instruments[job.instrument]
+            # Its highest point: the upper end of one that stands, the middle of one that lies.
+            top = item.centre_m + np.array([0.0, 0.0, abs(item.axis_m[2])])
+            return top, np.array([0.0, 0.0, -1.0])
         if isinstance(job, scenario.Exchange) and job.direction == "take":
-            return _end(around.instruments[job.instrument], here, far=False), None
+            # Gripped at the end that is free.
+            return _end(around.instruments[job.instrument], around.tool_position_m[job.arm]), None
         there = around.tool_position_m[job.arm]
         if isinstance(job, scenario.Present):
             toward = -_entry_direction(
@@ -353,10 +357,10 @@ def _meeting(job: scenario.Job | None) -> Meeting | None:
     return None
 
 
-def _end(instrument: Instrument, from_m: Vector, *, far: bool) -> Vector:
-    """The end of an instrument that is far from, or near to, a point."""
+def _end(instrument: Instrument, hand_m: Vector) -> Vector:
+    """The end of an instrument that is away from the hand that holds it."""
     ends = (instrument.centre_m + instrument.axis_m, instrument.centre_m - instrument.axis_m)
-    return (max if far else min)(ends, key=lambda end: float(np.linalg.norm(end - from_m)))
+    return max(ends, key=lambda end: float(np.linalg.norm(end - hand_m)))
 
 
 def _entry_direction(entry: scenario.Entry, base_m: Vector, tool_m: Vector) -> Vector:

@@ -20,8 +20,9 @@ from workcell.scene.handles import (
 )
 from workcell.scene.pairs import WatchedPairs, watched_pairs
 
-HELD_GAP_M = 0.01
-"""Where an instrument held from the start begins, seen from the tool point: as a fetched one ends up, d_min away by default."""
+HELD_GAP_M = 0.02
+"""From the tool point to where an instrument held from the start begins; chosen so that hand and instrument are
+no nearer than the default d_min, as after a hand-over, and can part again."""
 SENSOR_CUTOFF_M = 100.0
 """Beyond the size of any cell: a smaller one would cut distances off in silence."""
 
@@ -64,7 +65,8 @@ class Cell:
         """In line with the tool, its near end HELD_GAP_M before the tool point."""
         rotation = data.site_xmat[holder.tool_site].reshape(3, 3)
         centre = (
-            data.site_xpos[holder.tool_site] + (HELD_GAP_M + item.half_length_m) * rotation[:, 2]
+            data.site_xpos[holder.tool_site]
+            + (HELD_GAP_M + item.radius_m + item.half_length_m) * rotation[:, 2]
         )
         data.qpos[item.qpos : item.qpos + 3] = centre
         mujoco.mju_mat2Quat(

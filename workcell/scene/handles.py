@@ -75,6 +75,7 @@ class InstrumentHandles:
     """Where its free joint's position and quaternion start in qpos."""
     dof: int
     """Where its free joint's six velocities start in qvel."""
+    radius_m: float
     half_length_m: float
     rests_on: tuple[str, ...]
     """Obstacles it lies on, which it is not watched against."""
@@ -91,6 +92,7 @@ def instrument_handles(model: mujoco.MjModel, scenario: Scenario) -> tuple[Instr
             geom=model.geom(f"{item.name}_capsule").id,
             qpos=int(model.joint(f"{item.name}_free").qposadr[0]),
             dof=int(model.joint(f"{item.name}_free").dofadr[0]),
+            radius_m=item.radius_m,
             half_length_m=item.half_length_m,
             rests_on=item.rests_on,
             held_by=item.held_by,
