@@ -61,7 +61,13 @@ class RecordedCheck:
         """Whether it had said stop."""
         return self._latch.latched
 
-    def ask(self, tick: int, qpos: NDArray[np.float64], windows: Collection[str]) -> Verdict:
+    def ask(
+        self,
+        tick: int,
+        qpos: NDArray[np.float64],
+        windows: Collection[str],
+        holders: Mapping[str, str | None],
+    ) -> Verdict:
         """The recorded verdict of this tick."""
         distance = float(self._states.check_distance_m[tick])
         verdict = Verdict(

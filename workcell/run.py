@@ -15,8 +15,10 @@ import platform
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,7 +28,7 @@ from workcell.control.controller import Controller
 from workcell.errors import ControlFault, InputError
 from workcell.expect import judge
 from workcell.guard.monitor import FinalCheck
-from workcell.guard.settings import CheckSettings, Exemption
+from workcell.guard.orders import check_settings
 from workcell.guard.supervisor import LatchedCheck
 from workcell.plant import Measurement
 from workcell.scenario import Live, Meet, Scenario
@@ -36,18 +38,14 @@ from workcell.scene.compose import SCENE_FILE
 from workcell.scene.handles import HOUSING_GROUP
 from workcell.signals import Layout
 from workcell.trace import metrics
+from workcell.trace.room import check_room, check_writable
 from workcell.trace.table import Trace, TraceWriter, load
 
 SCENARIO_FILE = "scenario.toml"
 SUMMARY_FILE = "summary.json"
+ORIGIN_FILE = "origin.json"
 RECORDING_FILE = "recording.rrd"
 SCENE_FOLDER = "scene"
-
-MEETING_S = 60.0
-"""How long two tools may be exempt from the final check if a job forgets to part them; chosen longer than any exchange."""
-CLOSING_MARGIN = 1.25
-"""A meeting may close this much faster than its path speed: corrections of tool errors come on top, up to a few
-percent seen; chosen well above them and well below a second arm's own speed."""
 
 PACKAGES = (
     "workcell",
@@ -94,8 +92,11 @@ def run(
         InputError: the scenario cannot be run as it is.
     """
     _refuse_live(scenario)
+    check_writable(out)
     cell = prepare(scenario, out / SCENE_FOLDER)
+    check_room(out, layout(cell), scenario.ticks)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
+    (out / ORIGIN_FILE).write_text(json.dumps(origin(cell), indent=2) + "\n", encoding="utf-8")
     ending = simulate(cell, out, progress=progress)
     return conclude(cell, out, ending)
 
@@ -186,33 +187,6 @@ def final_check(cell: Cell, out: Path) -> Iterator[LatchedCheck | None]:
         yield LatchedCheck(check, period_s=cell.period_s)
 
 
-def check_settings(cell: Cell) -> CheckSettings:
-    """What the checker is told: the scenario's `[check]`, and the tools that jobs bring together."""
-    scenario = cell.scenario
-    d_min = scenario.control.d_min_m if scenario.check.d_min_m is None else scenario.check.d_min_m
-    tools = {
-        arm.name: cell.model.body(cell.model.site_bodyid[arm.tool_site]).name for arm in cell.arms
-    }
-    return CheckSettings(
-        arms=tuple(tools),
-        d_min_m=d_min,
-        period_s=cell.period_s,
-        every_ticks=scenario.check.every_ticks,
-        exemptions=tuple(
-            Exemption(
-                name=f"{arm.name}_{job.arm}",
-                geoms_i=(tools[arm.name],),
-                geoms_j=(tools[job.arm],),
-                expiry_s=MEETING_S,
-                max_closing_m_s=CLOSING_MARGIN * job.speed_m_s,
-                d_min_m=d_min / 2,
-            )
-            for arm in scenario.arm
-            for job in {j.arm: j for j in arm.job if isinstance(j, Meet)}.values()
-        ),
-    )
-
-
 def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
     """Judge the trace, write the summary and derive the recording."""
     from workcell.trace import (
@@ -277,10 +251,27 @@ def metadata(cell: Cell) -> dict[str, str]:
         "scenario": cell.scenario.digest(),
         "settings": cell.scenario.model_dump_json(),
         "versions": json.dumps(versions()),
-        "platform": f"{platform.system()} {platform.machine()} Python {platform.python_version()}",
+        "platform": _platform(),
+        "seed": str(cell.scenario.simulation.seed),
         "model_sha256": cell.digest,
         "meeting_pairs": json.dumps(meeting_pairs(cell)),
     }
+
+
+def origin(cell: Cell) -> dict[str, Any]:
+    """When and where a run began: apart from the trace, so that equal runs have equal traces."""
+    return {
+        "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "platform": _platform(),
+        "versions": versions(),
+        "scenario_sha256": cell.scenario.digest(),
+        "model_sha256": cell.digest,
+        "seed": cell.scenario.simulation.seed,
+    }
+
+
+def _platform() -> str:
+    return f"{platform.system()} {platform.machine()} Python {platform.python_version()}"
 
 
 def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:

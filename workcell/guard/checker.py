@@ -14,14 +14,15 @@ import select
 import signal
 import sys
 import time
-from dataclasses import replace
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from workcell.errors import InputError
 from workcell.guard.geometry import Geometry, collect_geometry, load_scene
-from workcell.guard.link import BEAT_S, CLOSED, Answer, Link, Request, TornRead
+from workcell.guard.link import BEAT_S, CLOSED, NOBODY, Answer, Link, Request, TornRead
 from workcell.guard.nearest import NearestSearch
 from workcell.guard.pairs import PairTable, choose_pairs
 from workcell.guard.settings import CheckSettings
@@ -44,27 +45,34 @@ class Checker:
         try:
             self.geometry: Geometry = collect_geometry(self.model, settings.arms)
             self.table: PairTable = choose_pairs(
-                self.model, self.geometry, settings.arms, settings.exemptions
+                self.model,
+                self.geometry,
+                settings.arms,
+                settings.exemptions,
+                settings.instruments,
+                settings.hands,
             )
         except InputError as error:
             raise InputError(error.faults, file=scene_xml) from error
         self._search = NearestSearch(self.model, self.geometry, ceiling_m=settings.ceiling_m)
-        self._masks = {0: self.table.watched}
+        self._masks: dict[Hashable, np.ndarray] = {}
+        self._grips = [_Grip() for _ in settings.instruments]
         self._before: dict[int, tuple[int, int, float]] = {}
 
     def answer(self, request: Request) -> Answer:
-        """Checks one configuration. Depends on earlier requests only for closing speeds."""
+        """Checks one configuration. Depends on earlier requests only for closing speeds, and for
+        hands that have just let go of an instrument."""
         started = time.perf_counter()
         settings = self.settings
         is_open = [self._is_open(k, request) for k in range(len(settings.exemptions))]
         self._search.place(request.qpos)
-        rest = self._search.nearest(*self._rest(is_open))
+        gripping = self._gripping(request)
+        rest = self._search.nearest(*self._watched(gripping, is_open))
         exempt_m, exempt_pair, fault = math.inf, (-1, -1), -1
         for k, exemption in enumerate(settings.exemptions):
             if not is_open[k]:
                 continue
-            # Keys of exempt searches are negative, those of the rest are bit sets.
-            found = self._search.nearest(self.table.exempt[k], -1 - k)
+            found = self._search.nearest(*self._exempt(gripping, k))
             closing_m_s = self._closing_m_s(k, request, found.distance_m)
             too_near = found.distance_m <= exemption.d_min_m
             broken = too_near or closing_m_s > exemption.max_closing_m_s
@@ -88,12 +96,49 @@ class Checker:
         opened = request.opened_ticks[k]
         return opened != CLOSED and 0 <= request.tick - opened < self.settings.expiry_ticks(k)
 
-    def _rest(self, is_open: list[bool]) -> tuple[np.ndarray, int]:
-        key = sum(1 << k for k, flag in enumerate(is_open) if flag)
+    def _gripping(self, request: Request) -> tuple[tuple[int, int], ...]:
+        """Every (instrument, arm) whose contact is let off: holders, and hands that just let go.
+
+        An instrument that is handed over still touches the hand that held it. That hand is let off
+        until it has once been clear of the instrument, and no longer than `release_s`.
+        """
+        gripping = []
+        limit = self.settings.release_s / self.settings.period_s
+        for k, (grip, holder) in enumerate(zip(self._grips, request.holders, strict=True)):
+            if holder != grip.holder:
+                grip.leaving, grip.left_tick, grip.holder = grip.holder, request.tick, holder
+            if grip.leaving != NOBODY:
+                pairs = (self.table.held[k, grip.leaving], ("leaving", k, grip.leaving))
+                clear = self._search.nearest(*pairs).distance_m > self.settings.d_min_m
+                if clear or not 0 <= request.tick - grip.left_tick < limit:
+                    grip.leaving = NOBODY
+            gripping += [(k, arm) for arm in (holder, grip.leaving) if arm != NOBODY]
+        return tuple(gripping)
+
+    def _watched(
+        self, gripping: tuple[tuple[int, int], ...], is_open: list[bool]
+    ) -> tuple[np.ndarray, Hashable]:
+        """What is held against the check's own d_min now, as a mask and its name."""
+        key = ("watched", gripping, tuple(is_open))
         if key not in self._masks:
-            lifted = self.table.exempt[[k for k, flag in enumerate(is_open) if flag]].any(axis=0)
+            lifted = self._lifted_by(gripping)
+            for k in np.flatnonzero(is_open):
+                lifted |= self.table.exempt[k]
             self._masks[key] = self.table.watched & ~lifted
         return self._masks[key], key
+
+    def _exempt(self, gripping: tuple[tuple[int, int], ...], k: int) -> tuple[np.ndarray, Hashable]:
+        """What is held to the terms of exemption k now: a hand's own instrument is not."""
+        key = ("exempt", gripping, k)
+        if key not in self._masks:
+            self._masks[key] = self.table.exempt[k] & ~self._lifted_by(gripping)
+        return self._masks[key], key
+
+    def _lifted_by(self, gripping: tuple[tuple[int, int], ...]) -> np.ndarray:
+        lifted = np.zeros_like(self.table.watched)
+        for instrument, arm in gripping:
+            lifted |= self.table.held[instrument, arm]
+        return lifted
 
     def _closing_m_s(self, k: int, request: Request, distance_m: float) -> float:
         """Mean closing speed of exemption k since the last request, m/s; 0 for a window's first."""
@@ -103,6 +148,18 @@ class Checker:
         if before is None or before[0] != opened or tick <= before[1]:
             return 0.0
         return (before[2] - distance_m) / ((tick - before[1]) * self.settings.period_s)
+
+
+@dataclass
+class _Grip:
+    """What the checker remembers of one instrument."""
+
+    holder: int = NOBODY
+    """Arm that held it at the last request."""
+    leaving: int = NOBODY
+    """Arm that held it before and is not clear of it yet."""
+    left_tick: int = 0
+    """Tick of the request that said so."""
 
 
 def main() -> int:
@@ -119,10 +176,16 @@ def main() -> int:
     except InputError as error:
         _say(done, {"refused": error.faults, "file": error.file})
         return 2
-    link = Link(order["memory"], nq=checker.model.nq, n_exemptions=len(settings.exemptions))
+    link = Link(
+        order["memory"],
+        nq=checker.model.nq,
+        n_exemptions=len(settings.exemptions),
+        n_instruments=len(settings.instruments),
+    )
     # The first check pays for page faults and caches; it is paid before the arms may move.
     idle = (CLOSED,) * len(settings.exemptions)
-    checker.answer(Request(0, 0, idle, np.array(checker.model.qpos0)))
+    lying = (NOBODY,) * len(settings.instruments)
+    checker.answer(Request(0, 0, idle, np.array(checker.model.qpos0), lying))
     link.beat(time.monotonic())
     names = [piece.name for piece in checker.geometry.pieces]
     _say(

@@ -27,6 +27,8 @@ READ_ATTEMPTS = 1000
 BEAT_S = 0.02
 # In place of the tick at which an exemption was opened.
 CLOSED = -1
+# In place of the arm that holds an instrument.
+NOBODY = -1
 
 _COUNTER = struct.Struct("<Q")
 _CHECKSUM = struct.Struct("<I4x")
@@ -50,6 +52,8 @@ class Request:
     """For each exemption the tick at which its window was opened, or CLOSED."""
     qpos: NDArray[np.float64]
     """(nq,) configuration to check."""
+    holders: tuple[int, ...] = ()
+    """For each instrument the index of the arm that holds it, or NOBODY."""
 
 
 @dataclass(frozen=True)
@@ -128,11 +132,12 @@ class Link:
         file: Descriptor of the shared file.
         nq: Length of a configuration.
         n_exemptions: Number of declared exemptions.
+        n_instruments: Number of declared instruments.
     """
 
-    def __init__(self, file: int, *, nq: int, n_exemptions: int):
-        self._nq, self._n_exemptions = nq, n_exemptions
-        request_size = _REQUEST_HEAD.size + 8 * (n_exemptions + nq)
+    def __init__(self, file: int, *, nq: int, n_exemptions: int, n_instruments: int = 0):
+        self._n_exemptions, self._n_instruments = n_exemptions, n_instruments
+        request_size = _REQUEST_HEAD.size + 8 * (n_exemptions + n_instruments + nq)
         answer_offset = Slot.footprint(request_size)
         beat_offset = answer_offset + Slot.footprint(_ANSWER.size)
         length = beat_offset + 64
@@ -147,7 +152,8 @@ class Link:
         self._answers = Slot(self._memory, answer_offset, _ANSWER.size)
         self._beat = self._memory[beat_offset : beat_offset + 8].cast("d")
         if empty:
-            self.post(Request(0, 0, (CLOSED,) * n_exemptions, np.zeros(nq)))
+            nothing = (CLOSED,) * n_exemptions
+            self.post(Request(0, 0, nothing, np.zeros(nq), (NOBODY,) * n_instruments))
             self.answer(Answer(0, 0, False, 0.0, (-1, -1), 0.0, (-1, -1), -1, 0.0))
 
     def post(self, request: Request) -> None:
@@ -155,6 +161,7 @@ class Link:
         self._requests.write(
             _REQUEST_HEAD.pack(request.sequence, request.tick)
             + struct.pack(f"<{self._n_exemptions}q", *request.opened_ticks)
+            + struct.pack(f"<{self._n_instruments}q", *request.holders)
             + np.ascontiguousarray(request.qpos, dtype=np.float64).tobytes()
         )
 
@@ -164,7 +171,9 @@ class Link:
         sequence, tick = _REQUEST_HEAD.unpack_from(payload)
         opened = struct.unpack_from(f"<{self._n_exemptions}q", payload, _REQUEST_HEAD.size)
         start = _REQUEST_HEAD.size + 8 * self._n_exemptions
-        return Request(sequence, tick, opened, np.frombuffer(payload, np.float64, offset=start))
+        holders = struct.unpack_from(f"<{self._n_instruments}q", payload, start)
+        qpos = np.frombuffer(payload, np.float64, offset=start + 8 * self._n_instruments)
+        return Request(sequence, tick, opened, qpos, holders)
 
     def answer(self, answer: Answer) -> None:
         """Writes an answer (checker's side)."""

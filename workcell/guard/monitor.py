@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workcell.errors import InputError
 from workcell.guard.judge import judge, missing_reason
 from workcell.guard.latency import Latency, LatencyLog
-from workcell.guard.link import BEAT_S, CLOSED, Answer, Link, Request, TornRead
+from workcell.guard.link import BEAT_S, CLOSED, NOBODY, Answer, Link, Request, TornRead
 from workcell.guard.process import CheckerProcess
 from workcell.guard.settings import CheckSettings
 from workcell.guard.verdict import CheckState, Verdict
@@ -40,6 +40,7 @@ class FinalCheck:
         self._pair_count = 0
         self._missing: tuple[str, ...] = ()
         self._opened = [CLOSED] * len(settings.exemptions)
+        self._holders = [NOBODY] * len(settings.instruments)
         self._sequence = 0
         self._posted_at_s = 0.0
         self._tick = -1
@@ -86,7 +87,10 @@ class FinalCheck:
         self._pair_count = greeting["pairs"]
         self._missing = tuple(greeting["missing"])
         self._link = Link(
-            self._process.memory, nq=self._nq, n_exemptions=len(self._settings.exemptions)
+            self._process.memory,
+            nq=self._nq,
+            n_exemptions=len(self._settings.exemptions),
+            n_instruments=len(self._settings.instruments),
         )
         if self._missing:
             return self._fault(CheckState.NO_GEOMETRY, missing_reason(self._missing))
@@ -149,6 +153,17 @@ class FinalCheck:
             return "closed"
         return "open" if tick - opened < self._settings.expiry_ticks(index) else "expired"
 
+    # Instruments -------------------------------------------------------------------------------
+
+    def set_holder(self, instrument: str, arm: str | None) -> None:
+        """From the next request on, this arm holds a declared instrument; None: it lies.
+
+        Raises:
+            InputError: If no instrument or no arm of that name is declared.
+        """
+        index = self._settings.instrument_index(instrument)
+        self._holders[index] = NOBODY if arm is None else self._settings.arm_index(arm)
+
     # Questions ---------------------------------------------------------------------------------
 
     def check(self, tick: int, qpos: NDArray[np.float64]) -> Verdict:
@@ -191,7 +206,9 @@ class FinalCheck:
         if self._is_waiting and not self._given_up:
             return None
         self._sequence += 1
-        self._link.post(Request(self._sequence, tick, tuple(self._opened), qpos))
+        self._link.post(
+            Request(self._sequence, tick, tuple(self._opened), qpos, tuple(self._holders))
+        )
         self._process.wake()
         self._posted_at_s = time.monotonic()
         self._old_answers = 0

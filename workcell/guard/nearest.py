@@ -9,6 +9,7 @@ was nearest last time, which is nearly always still close to the smallest.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import mujoco
@@ -62,7 +63,7 @@ class NearestSearch:
         self._half_m = boxes[:, 3:].copy()
         self._radius_m = _bounding_radii(model, self._geoms, self._centre_local, self._half_m)
         self._planes = model.geom_type[self._geoms] == _PLANE
-        self._lists: dict[int, _PairList] = {}
+        self._lists: dict[Hashable, _PairList] = {}
 
     def place(self, qpos: NDArray[np.float64]) -> None:
         """Moves the pieces to a configuration (nq,) of the model."""
@@ -74,7 +75,7 @@ class NearestSearch:
             "nij,nj->ni", rotation, self._centre_local
         )
 
-    def nearest(self, mask: NDArray[np.bool_], key: int = 0) -> Nearest:
+    def nearest(self, mask: NDArray[np.bool_], key: Hashable = 0) -> Nearest:
         """Nearest pair among those of a symmetric mask (n, n), in the configuration last placed.
 
         Args:

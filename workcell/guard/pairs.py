@@ -2,8 +2,9 @@
 
 The pieces of a scene come in; out go the body pairs that are watched (as a symmetric table over
 pieces), the body pairs left out, each with its reason, and which piece pairs belong to which
-exemption. Watched is everything between two arms, between an arm and its surroundings, and
-within an arm from `FAR_JOINTS` joints on, unless a rule below says why not.
+exemption or which hand that holds an instrument. Watched is everything between two arms, between
+an arm or an instrument and its surroundings, and within an arm from `FAR_JOINTS` joints on, unless
+a rule below says why not.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.guard.geometry import WORLD, Geometry, Piece
-from workcell.guard.settings import Exemption
+from workcell.guard.settings import Exemption, Held
 
 # Neighbouring housings of an arm overlap by design up to two joints apart (their hubs and forks
 # enclose one another, and joint limits keep them from meeting); from three on they can meet.
@@ -49,6 +50,8 @@ class PairTable:
     """(n, n), symmetric, false on the diagonal."""
     exempt: NDArray[np.bool_]
     """(number of exemptions, n, n): the watched pairs an exemption lifts while it is open."""
+    held: NDArray[np.bool_]
+    """(number of instruments, number of arms, n, n): the pairs let off while that arm holds it."""
     left_out: tuple[LeftOut, ...]
     """Every pair of bodies of which no, or not every, piece pair is watched."""
 
@@ -63,13 +66,26 @@ def choose_pairs(
     geometry: Geometry,
     arms: tuple[str, ...],
     exemptions: tuple[Exemption, ...] = (),
+    instruments: tuple[Held, ...] = (),
+    hands: tuple[tuple[str, ...], ...] = (),
 ) -> PairTable:
     """Decides every pair of bodies once.
 
+    Args:
+        model: The compiled scene.
+        geometry: Its pieces.
+        arms: Names of the arms.
+        exemptions: Pairs that may meet in a window.
+        instruments: Loose bodies that arms can hold.
+        hands: For each arm, the bodies that touch what it holds.
+
     Raises:
-        InputError: If an exemption names a geom or body that no piece has, or lifts no pair.
+        InputError: If an exemption, instrument or hand names a geom or body that no piece has, or
+            an exemption lifts no pair.
     """
     pieces = geometry.pieces
+    resting = _resting(pieces, instruments)
+    owners = (*arms, *(item.name for item in instruments))
     of_body: dict[int, list[int]] = {}
     for index, piece in enumerate(pieces):
         of_body.setdefault(piece.body, []).append(index)
@@ -81,7 +97,7 @@ def choose_pairs(
     left_out: list[LeftOut] = []
     for body_i, body_j in combinations(sorted(of_body), 2):
         first_i, first_j = pieces[of_body[body_i][0]], pieces[of_body[body_j][0]]
-        reason = _reason_to_leave_out(model, reference, pieces, arms, of_body, body_i, body_j)
+        reason = _reason_to_leave_out(model, reference, pieces, owners, of_body, body_i, body_j)
         if reason:
             left_out.append(LeftOut(first_i.body_name, first_j.body_name, reason))
             continue
@@ -94,12 +110,18 @@ def choose_pairs(
     reason = "the first moving link turns next to what its base stands on"
     for body_name, name in sorted({(pieces[i].body_name, pieces[k].name) for i, k in let_off}):
         left_out.append(LeftOut(body_name, name, reason))
+    for index, support in resting:
+        watched[index, support] = watched[support, index] = False
+        reason = "the instrument lies on it"
+        left_out.append(LeftOut(pieces[index].body_name, pieces[support].name, reason))
     exempt = (
         np.stack([_lifted(pieces, watched, e) for e in exemptions])
         if exemptions
         else (np.zeros((0, *watched.shape), dtype=bool))
     )
-    return PairTable(watched, exempt, tuple(left_out))
+    return PairTable(
+        watched, exempt, _in_hands(pieces, watched, instruments, hands), tuple(left_out)
+    )
 
 
 def joints_between(model: mujoco.MjModel, body_i: int, body_j: int) -> int:
@@ -113,14 +135,14 @@ def _reason_to_leave_out(
     model: mujoco.MjModel,
     reference: mujoco.MjData,
     pieces: tuple[Piece, ...],
-    arms: tuple[str, ...],
+    movable: tuple[str, ...],
     of_body: dict[int, list[int]],
     body_i: int,
     body_j: int,
 ) -> str | None:
     owner_i, owner_j = pieces[of_body[body_i][0]].owner, pieces[of_body[body_j][0]].owner
-    if owner_i not in arms and owner_j not in arms:
-        return "neither belongs to an arm"
+    if owner_i not in movable and owner_j not in movable:
+        return "neither belongs to an arm or is an instrument"
     if joints_between(model, body_i, body_j) == 0:
         return "no joint lies between them, so their distance never changes"
     if _excluded_by_model(model, body_i, body_j):
@@ -163,6 +185,48 @@ def _standing_on(
             if near:
                 pairs.update((k, support) for k in first)
     return pairs
+
+
+def _resting(pieces: tuple[Piece, ...], instruments: tuple[Held, ...]) -> list[tuple[int, int]]:
+    """Piece pairs (instrument, what it lies on)."""
+    pairs, faults = [], []
+    for item in instruments:
+        own = [k for k, piece in enumerate(pieces) if piece.owner == item.name]
+        if not own:
+            faults.append(f"instruments.{item.name}: no body of the scene has this name")
+        for name in item.rests_on:
+            supports = [k for k, piece in enumerate(pieces) if piece.name == name]
+            if not supports:
+                faults.append(f"instruments.{item.name}.rests_on: no geom is named '{name}'")
+            pairs += [(i, k) for i in own for k in supports]
+    if faults:
+        raise InputError(faults)
+    return pairs
+
+
+def _in_hands(
+    pieces: tuple[Piece, ...],
+    watched: NDArray[np.bool_],
+    instruments: tuple[Held, ...],
+    hands: tuple[tuple[str, ...], ...],
+) -> NDArray[np.bool_]:
+    """See `PairTable.held`."""
+    known = {piece.body_name for piece in pieces}
+    # A body of a hand may be without geometry, but not every body of it.
+    faults = [
+        f"hands: none of {', '.join(bodies) or 'no bodies'} has geometry"
+        for bodies in hands
+        if not known & set(bodies)
+    ]
+    if faults:
+        raise InputError(faults)
+    held = np.zeros((len(instruments), len(hands), *watched.shape), dtype=bool)
+    for k, item in enumerate(instruments):
+        rod = np.array([piece.owner == item.name for piece in pieces])
+        for a, bodies in enumerate(hands):
+            hand = np.array([piece.body_name in bodies for piece in pieces])
+            held[k, a] = (np.outer(rod, hand) | np.outer(hand, rod)) & watched
+    return held
 
 
 def _lifted(

@@ -50,6 +50,20 @@ class Exemption:
 
 
 @dataclass(frozen=True)
+class Held:
+    """A loose body that arms can hold: watched against everything but what holds it.
+
+    Which arm that is comes with every request; an instrument nobody holds is let off nothing
+    but what it rests on.
+    """
+
+    name: str
+    """Its body in the scene."""
+    rests_on: tuple[str, ...] = ()
+    """Geoms it lies on and is never watched against."""
+
+
+@dataclass(frozen=True)
 class TestFault:
     """A fault the checker commits on purpose, so that tests can see the answer to it."""
 
@@ -93,6 +107,13 @@ class CheckSettings:
     `deadline_s` at 2 ms ticks, so that neither clock hides a slow checker from the other."""
     exemptions: tuple[Exemption, ...] = ()
     """Pairs that may meet inside a declared window."""
+    instruments: tuple[Held, ...] = ()
+    """Loose bodies that arms can hold."""
+    hands: tuple[tuple[str, ...], ...] = ()
+    """For each of `arms`, the bodies that touch what it holds; needed if there are instruments."""
+    release_s: float = 60.0
+    """Longest time after it has given an instrument away that a hand may still touch it, s of
+    simulated time; it ends as soon as the two are clear. Chosen longer than any retreat."""
     enabled: bool = True
     """False: no process is started, every verdict is `off`."""
     test_fault: TestFault | None = field(default=None)
@@ -102,6 +123,10 @@ class CheckSettings:
         faults = _number_faults(self)
         if not self.arms:
             faults.append("arms: () is empty; name at least one arm")
+        if self.instruments and len(self.hands) != len(self.arms):
+            faults.append(
+                f"hands: {len(self.hands)} are named for {len(self.arms)} arms; name one an arm"
+            )
         names = [exemption.name for exemption in self.exemptions]
         for name in sorted({name for name in names if names.count(name) > 1}):
             faults.append(f"exemptions: the name '{name}' is used more than once")
@@ -125,6 +150,28 @@ class CheckSettings:
         known = ", ".join(exemption.name for exemption in self.exemptions) or "none are declared"
         raise InputError(f"exemption '{name}' is unknown; declared: {known}")
 
+    def instrument_index(self, name: str) -> int:
+        """Position of a named instrument.
+
+        Raises:
+            InputError: If there is none of that name.
+        """
+        names = [item.name for item in self.instruments]
+        if name not in names:
+            known = ", ".join(names) or "none are declared"
+            raise InputError(f"instrument '{name}' is unknown; declared: {known}")
+        return names.index(name)
+
+    def arm_index(self, name: str) -> int:
+        """Position of a named arm.
+
+        Raises:
+            InputError: If there is none of that name.
+        """
+        if name not in self.arms:
+            raise InputError(f"arm '{name}' is unknown; allowed: {', '.join(self.arms)}")
+        return self.arms.index(name)
+
     def expiry_ticks(self, index: int) -> int:
         """How many ticks the window of exemption `index` may stay open."""
         return max(1, round(self.exemptions[index].expiry_s / self.period_s))
@@ -143,13 +190,24 @@ class CheckSettings:
             sides = {side: tuple(item.pop(side)) for side in ("geoms_i", "geoms_j")}
             exemptions.append(Exemption(**sides, **item))
         fields["exemptions"] = tuple(exemptions)
+        fields["instruments"] = tuple(
+            Held(item["name"], tuple(item["rests_on"])) for item in fields["instruments"]
+        )
+        fields["hands"] = tuple(tuple(bodies) for bodies in fields["hands"])
         if fields["test_fault"] is not None:
             fields["test_fault"] = TestFault(**fields["test_fault"])
         return cls(**fields)
 
 
 def _number_faults(settings: CheckSettings) -> list[str]:
-    positive = ("period_s", "ceiling_m", "deadline_s", "lockstep_deadline_s", "start_deadline_s")
+    positive = (
+        "period_s",
+        "ceiling_m",
+        "deadline_s",
+        "lockstep_deadline_s",
+        "start_deadline_s",
+        "release_s",
+    )
     faults = [
         f"{name}: {getattr(settings, name)} must be finite and above 0"
         for name in positive

@@ -6,7 +6,7 @@ controller hands over joint positions and learns only whether its support arms m
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -21,8 +21,21 @@ from workcell.guard.verdict import Verdict
 class Supervisor(Protocol):
     """What the controller needs of a final check; replays and tests bring their own."""
 
-    def ask(self, tick: int, qpos: NDArray[np.float64], windows: Collection[str]) -> Verdict:
-        """The verdict for this tick; `windows` are the exemptions that jobs hold open now."""
+    def ask(
+        self,
+        tick: int,
+        qpos: NDArray[np.float64],
+        windows: Collection[str],
+        holders: Mapping[str, str | None],
+    ) -> Verdict:
+        """The verdict for this tick.
+
+        Args:
+            tick: Control tick.
+            qpos: (nq,) measured configuration.
+            windows: Exemptions that jobs hold open now.
+            holders: For every instrument the arm that holds it, None where it lies.
+        """
         ...
 
     @property
@@ -76,8 +89,16 @@ class LatchedCheck:
             "halt": None if halt is None else asdict(halt),
         }
 
-    def ask(self, tick: int, qpos: NDArray[np.float64], windows: Collection[str]) -> Verdict:
+    def ask(
+        self,
+        tick: int,
+        qpos: NDArray[np.float64],
+        windows: Collection[str],
+        holders: Mapping[str, str | None],
+    ) -> Verdict:
         """See `Supervisor`."""
+        for instrument, arm in holders.items():
+            self._check.set_holder(instrument, arm)
         for name in sorted(set(windows) - self._open):
             self._check.open_exemption(name, tick)
         for name in sorted(self._open - set(windows)):
