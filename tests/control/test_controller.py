@@ -232,7 +232,7 @@ def test_a_meeting_ends_at_the_smallest_distance_and_is_left_at_full_factor(exch
         record.arms["nurse"].scale
         for record in exchange
         if record.arms["nurse"].job == "retreat"
-        and (record.pair_rate_m_s[record.pair_distance_m < 0.15] > 0).all()
+        and (record.pair_rate_m_s[record.pair_distance_m < 0.15] > 1e-4).all()
     ]
     assert len(leaving) > 100
     assert min(leaving) == 1.0

@@ -23,6 +23,9 @@ Metric = float | int | str | bool | None
 SCALED_BELOW = 1.0 - 1e-6
 """A factor below it counts as scaling: rounding of a free factor stays far above."""
 
+STANDING_M_S = 1e-4
+"""A pair that opens more slowly stands: the last digits of tool errors are still being corrected."""
+
 REVERSAL_FRACTION = 0.02
 """Part of its peak by which a speed must turn back to count as a reversal: chosen to pass over
 the last digits of a solver and to catch chatter that an onlooker would see."""
@@ -351,7 +354,7 @@ def _retreating(trace: Trace, arm: str) -> dict[str, Metric]:
     reach_m = t_min_s * max(job["speed_m_s"] for job in retreats)
     mine = [any(g.startswith(f"{arm}/") for g in pair) for pair in trace.layout.pairs]
     distance, rate = trace["pair_distance_m"][:, mine], trace["pair_rate_m_s"][:, mine]
-    leaving = ((rate > 0.0) | (distance > reach_m)).all(axis=1)
+    leaving = ((rate > STANDING_M_S) | (distance > reach_m)).all(axis=1)
     ticks = leaving & (trace[f"{arm}.job"] == RETREAT_JOB)
     scale = trace[f"{arm}.scale"][ticks]
     return {"retreat_smallest_scale": float(scale.min()) if scale.size else None}
