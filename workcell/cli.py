@@ -294,6 +294,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "compare": cli_regression.compare,
     "rerun": cli_regression.rerun,
     "bless": cli_regression.bless,
+    "salvage": cli_regression.salvage,
 }
 
 

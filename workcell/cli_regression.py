@@ -148,6 +148,26 @@ def bless(
     return SAME
 
 
+def salvage(
+    run: Run,
+    /,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="new folder; default RUN/salvaged")
+    ] = None,
+) -> int:
+    """Save what is intact of a damaged run's trace and recording into a new folder. Exit status 1 if no row was left."""
+    from workcell.run import RECORDING_FILE
+    from workcell.trace.salvage import salvage as save
+
+    folder = out or run / "salvaged"
+    saved = save(run, folder, recording_name=RECORDING_FILE)
+    for loss in saved.losses:
+        _out.print(f"lost: {loss}", markup=False)
+    _out.print(f"{saved.rows} rows in {saved.trace or 'no trace'}", markup=False)
+    _out.print(f"recording: {saved.recording or 'nothing left'}", markup=False)
+    return SAME if saved.trace else DIFFERS
+
+
 def report(
     result: Comparison, file: Path | None, changes: tuple[MetricChange, ...] | list[MetricChange]
 ) -> None:

@@ -151,18 +151,15 @@ class Comparison:
 
 def excerpt(trace: Trace, *, skip: tuple[str, ...] = ()) -> Excerpt:
     """The whole of a trace, as a comparison wants it."""
-    values = {c.name: trace[c.name] for c in columns(trace.layout) if c.signal.name not in skip}
+    known = [c for c in columns(trace.layout) if c.name in trace.table.column_names]
+    values = {c.name: trace[c.name] for c in known if c.signal.name not in skip}
     return Excerpt(
         source=str(trace.source),
         identity=identity(trace),
         ticks=trace["tick"],
         length=len(trace),
         values=values,
-        tied={
-            c.name: ties(trace, trace[c.name])
-            for c in columns(trace.layout)
-            if c.signal.name in PAIR_INDICES
-        },
+        tied={c.name: ties(trace, trace[c.name]) for c in known if c.signal.name in PAIR_INDICES},
     )
 
 
@@ -359,8 +356,10 @@ def _quantities(
     """
     for name, wanted in reference.values.items():
         column, _, condensation = name.partition("|")
-        if column not in ordered or column not in run.values:
+        if column not in ordered:
             raise TraceError(f"{reference.source}: column {name} is none of this version's signals")
+        if column not in run.values:
+            raise TraceError(f"{run.source}: is from before column {column!r} was logged")
         values = run.values[column]
         yield name, wanted, condensed(values)[condensation] if condensation else values
 

@@ -34,7 +34,8 @@ from workcell.trace.journal import JournalReader, JournalWriter
 TRACE_NAME = "trace.parquet"
 JOURNAL_NAME = "trace.arrows"
 
-_INTEGRITY_KEY = b"integrity_sha256"
+INTEGRITY_KEY = b"integrity_sha256"
+"""Metadata entry with the hash over rows and metadata."""
 _LAYOUT_KEYS = ("schema_version", "arms", "joints", "nq", "nv", "pairs")
 
 _ROW_GROUP_ROWS = 8192
@@ -296,6 +297,8 @@ class Trace:
         Null floats are NaN, null indices -1; strings come as an object array.
         """
         if name not in self.table.column_names:
+            if name in {column.name for column in columns(self.layout)}:
+                raise TraceError(f"{self.source}: is from before column {name!r} was logged")
             known = ", ".join(self.table.column_names)
             raise TraceError(f"{self.source}: no column {name!r}; there are {known}")
         array = self.table.column(name).combine_chunks()
@@ -325,7 +328,7 @@ class Trace:
         return {
             key.decode(): json.loads(value) if value[:1] in (b"{", b"[") else value.decode()
             for key, value in (self.table.schema.metadata or {}).items()
-            if key != _INTEGRITY_KEY
+            if key != INTEGRITY_KEY
         }
 
     def digest(self) -> str:
@@ -406,7 +409,7 @@ def convert(journal: Path, target: Path) -> None:
                 for batch in table.to_batches():
                     digest.update(batch)
             integrity = _integrity(digest, batches.schema)
-            writer.add_key_value_metadata({_INTEGRITY_KEY: integrity})
+            writer.add_key_value_metadata({INTEGRITY_KEY: integrity})
         os.replace(temporary, target)
     except OSError as error:
         raise TraceError(f"{target}: cannot be written: {error}") from error
@@ -454,7 +457,7 @@ def _integrity(digest: TableDigest, table_schema: pa.Schema) -> bytes:
     entries = sorted((table_schema.metadata or {}).items())
     whole = hashlib.sha256(digest.hexdigest().encode())
     for key, value in entries:
-        if key != _INTEGRITY_KEY:
+        if key != INTEGRITY_KEY:
             whole.update(b"%d %b %d %b" % (len(key), key, len(value), value))
     return whole.hexdigest().encode()
 
@@ -462,12 +465,12 @@ def _integrity(digest: TableDigest, table_schema: pa.Schema) -> bytes:
 def _read_parquet(path: Path) -> pa.Table:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            stored = (file.metadata.metadata or {}).get(_INTEGRITY_KEY)
+            stored = (file.metadata.metadata or {}).get(INTEGRITY_KEY)
             table = file.read()
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise TraceError(f"{path}: is damaged or no parquet file: {error}") from error
     if stored is None:
-        raise TraceError(f"{path}: has no entry {_INTEGRITY_KEY.decode()}: not a trace, or damaged")
+        raise TraceError(f"{path}: has no entry {INTEGRITY_KEY.decode()}: not a trace, or damaged")
     digest = TableDigest(table.schema)
     for batch in table.to_batches():
         digest.update(batch)
@@ -487,7 +490,10 @@ def _check_schema(trace: Trace) -> None:
             f"{trace.source}: schema version {version} is newer than {SCHEMA_VERSION}, "
             "the newest this workcell reads"
         )
-    names = [column.name for column in columns(trace.layout)]
-    if trace.table.column_names != names:
-        different = sorted(set(names) ^ set(trace.table.column_names))
-        raise TraceError(f"{trace.source}: columns differ from the layout's: {different}")
+    known = {column.name for column in columns(trace.layout)}
+    unknown = [name for name in trace.table.column_names if name not in known]
+    if unknown:
+        raise TraceError(
+            f"{trace.source}: unknown columns {', '.join(unknown)}: it is from a newer workcell"
+        )
+    # A trace of an older workcell lacks the signals that have come since; asking for one says so.

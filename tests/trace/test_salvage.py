@@ -1,0 +1,124 @@
+"""Damage of every kind, and what must come out of it unharmed."""
+
+import shutil
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from workcell.errors import TraceError
+from workcell.trace import table, view
+from workcell.trace.journal import JournalReader, JournalWriter
+from workcell.trace.salvage import salvage
+from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, convert, load
+
+RECORDING = "recording.rrd"
+BATCH = 100
+
+
+@pytest.fixture
+def damaged(run, tmp_path, monkeypatch):
+    """A folder with the run's trace as journal and as table of several row groups."""
+    monkeypatch.setattr(table, "_ROW_GROUP_ROWS", 4 * BATCH)
+    folder = tmp_path / "damaged"
+    folder.mkdir()
+    journal = folder / JOURNAL_NAME
+    schema = run.trace.table.schema
+    entries = {k: v for k, v in schema.metadata.items() if k != table.INTEGRITY_KEY}
+    writer = JournalWriter(journal, schema.with_metadata(entries))
+    for batch in (
+        run.trace.table.replace_schema_metadata(entries).combine_chunks().to_batches(BATCH)
+    ):
+        writer.write(batch)
+    writer.close()
+    convert(journal, folder / TRACE_NAME)
+    return folder
+
+
+def flip(path, offset):
+    content = bytearray(path.read_bytes())
+    content[offset] ^= 0x10
+    path.write_bytes(content)
+
+
+def save(folder):
+    return salvage(folder, folder.with_name("saved"), recording_name=RECORDING)
+
+
+def test_an_undamaged_run_comes_through_whole(damaged, run):
+    saved = save(damaged)
+    assert saved.losses == ()
+    assert load(saved.trace).digest() == run.trace.digest()
+
+
+def test_rows_around_a_damaged_row_group_survive(damaged, run):
+    path = damaged / TRACE_NAME
+    with pq.ParquetFile(path) as file:
+        column = file.metadata.row_group(1).column(2)
+    flip(path, column.data_page_offset + column.total_compressed_size // 2)
+    with pytest.raises(TraceError):
+        load(damaged)
+    saved = save(damaged)
+    assert "rows 400 to 799 are damaged" in saved.losses[0]
+    whole = run.trace.table
+    kept = pa.concat_tables([whole.slice(0, 400), whole.slice(800)])
+    assert load(saved.trace).table.equals(kept)
+
+
+def test_batches_before_a_flipped_bit_survive(damaged, run):
+    (damaged / TRACE_NAME).unlink()
+    path = damaged / JOURNAL_NAME
+    flip(path, path.stat().st_size // 2)
+    with pytest.raises(TraceError):
+        load(damaged)
+    saved = save(damaged)
+    assert "what comes after it is lost" in saved.losses[0]
+    assert saved.rows % BATCH == 0
+    assert abs(saved.rows - len(run.trace) / 2) < 2 * BATCH
+    assert load(saved.trace).table.equals(run.trace.table.slice(0, saved.rows))
+
+
+def test_a_table_without_its_index_falls_back_to_the_journal(damaged, run):
+    path = damaged / TRACE_NAME
+    path.write_bytes(path.read_bytes()[:-9])
+    saved = save(damaged)
+    assert "its index at the end cannot be read" in saved.losses[0]
+    assert saved.rows == len(run.trace)
+    (damaged / JOURNAL_NAME).unlink()
+    assert save(damaged).trace is None
+
+
+def test_a_recording_cut_off_keeps_its_beginning(damaged, run, tmp_path):
+    whole = view.record(run.trace, run.scene, tmp_path / RECORDING)
+    cut = damaged / RECORDING
+    cut.write_bytes(whole.read_bytes()[: int(0.9 * whole.stat().st_size)])
+    saved = save(damaged)
+    assert saved.recording is not None
+    assert "is damaged" in saved.losses[0]
+    assert saved.recording.stat().st_size > 0.5 * whole.stat().st_size
+    cut.write_bytes(b"no recording")
+    assert save(damaged).recording is None
+
+
+def test_misuse_is_named(damaged, tmp_path):
+    with pytest.raises(TraceError, match="another folder"):
+        salvage(damaged, damaged, recording_name=RECORDING)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(TraceError, match="neither a trace nor a recording"):
+        salvage(tmp_path / "empty", tmp_path / "x", recording_name=RECORDING)
+
+
+def test_a_trace_from_before_a_signal_is_read(damaged, run):
+    """An older trace lacks a column: the rest of it is as good as ever."""
+    older = JournalReader(damaged / JOURNAL_NAME)
+    rows = pa.Table.from_batches(older, older.schema).drop_columns(["mode"])
+    shutil.rmtree(damaged)
+    damaged.mkdir()
+    writer = JournalWriter(damaged / JOURNAL_NAME, rows.schema)
+    for batch in rows.combine_chunks().to_batches():
+        writer.write(batch)
+    writer.close()
+    trace = load(damaged)
+    assert (trace["ttc_s"][:5] == run.trace["ttc_s"][:5]).all()
+    with pytest.raises(TraceError, match="from before column 'mode' was logged"):
+        trace["mode"]
