@@ -150,11 +150,7 @@ def _save_recording(source: Path, target: Path) -> tuple[Path | None, list[str]]
         target.unlink(missing_ok=True)
         return None, [f"{source}: could not be repaired within {_REPAIR_TIMEOUT_S:g} s"]
     # The tool writes an empty recording where it could read nothing.
-    if (
-        done.returncode
-        or not target.is_file()
-        or not any(True for _ in RrdReader(str(target)).stream())
-    ):
+    if done.returncode or not target.is_file() or not RrdReader(str(target)).recordings():
         target.unlink(missing_ok=True)
         return None, [f"{source}: nothing in it can be read: {done.stderr.strip()[-300:]}"]
     verified = subprocess.run(
