@@ -14,6 +14,7 @@ and limits are usable with any mink `Configuration`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import daqp
@@ -25,6 +26,7 @@ from mink.tasks.task import BaseTask, Objective
 from numpy.typing import NDArray
 
 from workcell.control.criteria import NullspaceObjective
+from workcell.control.finite import all_finite
 from workcell.control.proximity import PairGeometry
 from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
 from workcell.scene.handles import ArmHandles
@@ -68,12 +70,11 @@ class ToolTask(mink.FrameTask):
 
     def follow(self, target: Target) -> None:
         """Set pose and twist of the target, both in the world frame."""
-        rotation = mink.SO3(np.asarray(target.wxyz))
-        self.set_target(mink.SE3.from_rotation_and_translation(rotation, target.position_m))
-        back = rotation.inverse()
-        self._twist = np.concatenate(
-            [back.apply(target.velocity_m_s), back.apply(target.angular_velocity_rad_s)]
-        )
+        self.transform_target_to_world = mink.SE3(np.concatenate([target.wxyz, target.position_m]))
+        back = np.empty(4)
+        mujoco.mju_negQuat(back, target.wxyz)
+        mujoco.mju_rotVecQuat(self._twist[:3], target.velocity_m_s, back)
+        mujoco.mju_rotVecQuat(self._twist[3:], target.angular_velocity_rad_s, back)
 
     def compute_error(self, configuration: mink.Configuration) -> NDArray[np.float64]:
         """mink's body twist from the tool to its target, plus what the target moves within this step."""
@@ -129,8 +130,10 @@ class JointLimit(mink.Limit):
         self.arm = arm
         self.previous_rad_s = np.zeros(len(arm.dofs))
         """(n,) last commanded velocity, from which the acceleration counts."""
-        self._rows = np.zeros((2 * len(arm.dofs), nv))
         n = len(arm.dofs)
+        self._accel = np.concatenate([arm.acceleration_limit_rad_s2] * 2)
+        self._speed = np.concatenate([arm.velocity_limit_rad_s] * 2)
+        self._rows = np.zeros((2 * n, nv))
         self._rows[np.arange(n), arm.dofs] = 1.0
         self._rows[np.arange(n, 2 * n), arm.dofs] = -1.0
 
@@ -138,9 +141,11 @@ class JointLimit(mink.Limit):
         self, q_rad: NDArray[np.float64], dt_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n,) smallest and largest joint velocity."""
-        arm = self.arm
-        low = np.maximum(-arm.velocity_limit_rad_s, -_approach(q_rad - arm.lower_rad, arm, dt_s))
-        high = np.minimum(arm.velocity_limit_rad_s, _approach(arm.upper_rad - q_rad, arm, dt_s))
+        arm, n = self.arm, len(q_rad)
+        distance = np.concatenate([q_rad - arm.lower_rad, arm.upper_rad - q_rad])
+        speed = _approach(distance, self._accel, self._speed, dt_s)
+        np.minimum(speed, self._speed, out=speed)
+        low, high = -speed[:n], speed[n:]
         step = arm.acceleration_limit_rad_s2 * dt_s
         return np.minimum(np.maximum(low, self.previous_rad_s - step), high), np.maximum(
             np.minimum(high, self.previous_rad_s + step), low
@@ -238,6 +243,7 @@ class ArmIk:
         self._no_rows = np.zeros((0, len(arm.dofs))), np.zeros(0)
         self._tool_rows = np.zeros((6, len(arm.dofs)))
         self._tool_rates = np.zeros(6)
+        self._program_space = _Space(len(arm.dofs))
         self._low = self._high = np.zeros(len(arm.dofs))
         self.path_rad_s = np.zeros(len(arm.dofs))
         """(n,) the part of the last `aim` that the target's own motion asks for, corrections of the tool error aside."""
@@ -278,26 +284,31 @@ class ArmIk:
         """
         self.tool.follow(target)
         error, jacobian = self.tool._error_and_jacobian(configuration)
-        if not np.isfinite(error).all():
+        if not all_finite(error):
             raise FloatingPointError(
                 f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
             )
-        self._tool_rows = jacobian[:, self.arm.dofs]
+        self._tool_rows = jacobian.take(self.arm.dofs, axis=1)
         ahead = self.tool._ahead()
         correction = (error - ahead) * (-self.tool.gain / self.dt_s)
-        speed = np.hypot(
-            np.linalg.norm(correction[:3]), TURN_LENGTH_M_PER_RAD * np.linalg.norm(correction[3:])
-        )
-        if speed > catch_up_m_s:
-            correction = correction * (catch_up_m_s / speed)
+        if catch_up_m_s < np.inf:
+            x, y, z, *turn = correction.tolist()
+            speed = math.hypot(x, y, z, TURN_LENGTH_M_PER_RAD * math.hypot(*turn))
+            if speed > catch_up_m_s:
+                correction *= catch_up_m_s / speed
         self._tool_rates = correction + ahead * (-self.tool.gain / self.dt_s)
         if free_rotation:
             self._tool_rows, self._tool_rates = self._tool_rows[:5], self._tool_rates[:5]
         gram = self._tool_rows @ self._tool_rows.T
-        gram.flat[:: len(gram) + 1] += LEAST_MOTION_DAMPING
+        gram.ravel()[:: len(gram) + 1] += LEAST_MOTION_DAMPING
         path_rates = ahead[: len(self._tool_rates)] * (-self.tool.gain / self.dt_s)
-        both = np.linalg.solve(gram, np.stack([self._tool_rates, path_rates], axis=1))
-        whole, self.path_rad_s = (self._tool_rows.T @ both).T
+        # The damping keeps the matrix positive definite, so that Cholesky's factor always exists.
+        if mujoco.mju_cholFactor(gram, 0.0) < len(gram):
+            raise FloatingPointError(f"arm {self.arm.name}: the tool's Jacobian is not finite")
+        both = np.empty((2, len(gram)))
+        mujoco.mju_cholSolve(both[0], gram, self._tool_rates)
+        mujoco.mju_cholSolve(both[1], gram, path_rates)
+        whole, self.path_rad_s = both @ self._tool_rows
         return whole
 
     def solve(
@@ -334,7 +345,7 @@ class ArmIk:
             rows,
             smallest_rate_m_s,
         ):
-            if not np.isfinite(values).all():
+            if not all_finite(values):
                 raise FloatingPointError(
                     f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
                 )
@@ -407,43 +418,80 @@ class ArmIk:
         hard_tool: bool,
     ) -> NDArray[np.float64] | None:
         """Minimise ½ q̇ᵀHq̇ + cᵀq̇ within the joint box and rows q̇ >= lower; None where there is no acceptable solution."""
-        A, upper, sense = (
-            rows,
-            np.full(len(lower), _UNBOUNDED),
-            np.zeros(len(c) + len(lower), dtype=np.intc),
-        )
+        tool = len(self._tool_rates) if hard_tool else 0
+        n, pairs = len(c), len(lower)
+        program = self._program_space.of(pairs + tool)
+        program.sense[:] = 0
+        np.maximum(self._low, -_UNBOUNDED, out=program.lower[:n])
+        np.minimum(self._high, _UNBOUNDED, out=program.upper[:n])
+        program.rows[:pairs], program.lower[n : n + pairs] = rows, lower
+        program.upper[n : n + pairs] = _UNBOUNDED
         if hard_tool:
-            A = np.concatenate([rows, self._tool_rows])
-            lower, upper = (
-                np.concatenate([lower, self._tool_rates]),
-                np.concatenate([upper, self._tool_rates]),
-            )
-            sense = np.concatenate(
-                [sense, np.full(len(self._tool_rates), _EQUALITY, dtype=np.intc)]
-            )
-        low, high = np.maximum(self._low, -_UNBOUNDED), np.minimum(self._high, _UNBOUNDED)
+            program.rows[pairs:] = self._tool_rows
+            program.lower[n + pairs :] = program.upper[n + pairs :] = self._tool_rates
+            program.sense[n + pairs :] = _EQUALITY
         velocity, _, flag, _ = daqp.solve(
             H,
             c,
-            A,
-            np.concatenate([high, upper]),
-            np.concatenate([low, lower]),
-            sense,
+            program.rows,
+            program.upper,
+            program.lower,
+            program.sense,
             primal_tol=SOLVER_TOLERANCE_RAD_S,
         )
-        if flag != _SOLVED or not np.isfinite(velocity).all():
+        if flag != _SOLVED or not all_finite(velocity):
             return None
         return velocity
 
 
+class _Space:
+    """Arrays a program is written into, kept from tick to tick.
+
+    Args:
+        n: Joints.
+    """
+
+    def __init__(self, n: int):
+        self._n = n
+        self._grow(64)
+
+    def _grow(self, rows: int) -> None:
+        self._rows = np.empty((rows, self._n))
+        self._lower, self._upper = np.empty(self._n + rows), np.empty(self._n + rows)
+        self._sense = np.empty(self._n + rows, dtype=np.intc)
+
+    def of(self, rows: int) -> _Program:
+        """Room for a box and this many rows, with whatever the last program left in it."""
+        if rows > len(self._rows):
+            self._grow(2 * rows)
+        m = self._n + rows
+        return _Program(self._rows[:rows], self._lower[:m], self._upper[:m], self._sense[:m])
+
+
+@dataclass(frozen=True)
+class _Program:
+    """The constraints of a program, in daqp's order: the box on the joints, then the rows."""
+
+    rows: NDArray[np.float64]
+    """(R, n)"""
+    lower: NDArray[np.float64]
+    """(n + R,)"""
+    upper: NDArray[np.float64]
+    """(n + R,)"""
+    sense: NDArray[np.intc]
+    """(n + R,) daqp's marks."""
+
+
 def _approach(
-    distance_rad: NDArray[np.float64], arm: ArmHandles, dt_s: float
+    distance_rad: NDArray[np.float64],
+    accel_rad_s2: NDArray[np.float64],
+    limit_rad_s: NDArray[np.float64],
+    dt_s: float,
 ) -> NDArray[np.float64]:
-    """(n,) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
-    a = arm.acceleration_limit_rad_s2
-    inside = np.maximum(distance_rad, 0.0)
+    """(m,) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
+    half_step = accel_rad_s2 * (dt_s / 2)
     with np.errstate(over="ignore"):
-        speed = -a * dt_s / 2 + np.sqrt((a * dt_s / 2) ** 2 + 2 * a * inside)
-    return np.where(
-        distance_rad < 0, np.maximum(distance_rad / dt_s, -arm.velocity_limit_rad_s), speed
-    )
+        speed = np.sqrt(half_step**2 + 2 * accel_rad_s2 * np.maximum(distance_rad, 0.0)) - half_step
+    if distance_rad.min() >= 0.0:
+        return speed
+    return np.where(distance_rad < 0, np.maximum(distance_rad / dt_s, -limit_rad_s), speed)

@@ -7,7 +7,6 @@ Jacobian G = dd/dq of every pair (paper equations 3 to 5). All pairs are treated
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workcell.control.finite import finite
+from workcell.control.finite import all_finite, finite
 from workcell.errors import InputError, WorkcellError
 
 Array = NDArray[np.float64]
@@ -203,7 +202,7 @@ class PairGeometry:
             undirected = length == 0.0
             along[undirected], length[undirected] = (1.0, 0.0, 0.0), 1.0
             degenerate |= undirected
-        if not math.isfinite(np.vdot(distance, distance)) and not np.isfinite(distance).all():
+        if not all_finite(distance):
             name = self.names[int(np.argmin(np.isfinite(distance)))]
             raise WorkcellError(f"the distance of {name} is not finite; check qpos")
         normal = along / length[:, None]
