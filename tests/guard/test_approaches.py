@@ -56,7 +56,8 @@ def test_two_hundred_unscaled_approaches_end_without_contact(tmp_path: Path):
             qpos = qpos + command * PERIOD_S
             way_m.append(checker.answer(Request(sequence, 0, (), qpos)).distance_m)
         report = latch.report()
-        assert report is not None and report.state == CheckState.HALT
+        assert report is not None
+        assert report.state == CheckState.HALT
         stopped += 1
         nearest_m.append(min(way_m))
         assert min(way_m) > 0.0, (report, qpos)

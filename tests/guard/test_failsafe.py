@@ -70,7 +70,7 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize("kind, state", FAULTS)
+@pytest.mark.parametrize(("kind", "state"), FAULTS)
 def test_in_lock_step_each_fault_has_its_name_within_the_deadline(scene, kind, state):
     with started(scene, test_fault=TestFault(kind, FROM, seconds=3.0)) as check:
         pid = check.pid
@@ -80,14 +80,19 @@ def test_in_lock_step_each_fault_has_its_name_within_the_deadline(scene, kind, s
         verdict = check.check(2, CLEAR_POSE)
         took_s = time.monotonic() - began_s
     assert verdict.state == state, verdict
-    assert verdict.must_stop and verdict.reason
-    assert verdict.distance_m is None and verdict.pair is None
+    assert verdict.must_stop
+    assert verdict.reason
+    assert verdict.distance_m is None
+    assert verdict.pair is None
     assert took_s < 0.4 + GRACE_S
-    assert pid is not None and is_gone(pid)
+    assert pid is not None
+    assert is_gone(pid)
 
 
 # An answer is judged alike in both ways of running; what is waited for differs.
-@pytest.mark.parametrize("kind, state", [fault for fault in FAULTS if fault[1] != State.NONSENSE])
+@pytest.mark.parametrize(
+    ("kind", "state"), [fault for fault in FAULTS if fault[1] != State.NONSENSE]
+)
 def test_in_free_run_each_fault_stops_within_the_deadline(scene, kind, state):
     fault = TestFault(kind, FROM, seconds=3.0)
     with started(scene, deadline_s=0.2, max_age_ticks=10_000, test_fault=fault) as check:
@@ -107,7 +112,7 @@ def test_in_free_run_each_fault_stops_within_the_deadline(scene, kind, state):
 
 
 @pytest.mark.parametrize(
-    "kill, state", [(signal.SIGKILL, State.LOST), (signal.SIGSTOP, State.STOPPED)]
+    ("kill", "state"), [(signal.SIGKILL, State.LOST), (signal.SIGSTOP, State.STOPPED)]
 )
 def test_a_checker_that_goes_between_checks_is_noticed_without_asking(scene, kill, state):
     with started(scene) as check:
@@ -133,7 +138,7 @@ def test_a_late_checker_is_not_waited_for_again_but_may_come_back(scene):
 
 
 @pytest.mark.parametrize(
-    "fault, deadline_s, reason",
+    ("fault", "deadline_s", "reason"),
     [
         (TestFault("crash_at_start"), 30.0, "exit status 1.*RuntimeError: crash_at_start"),
         (TestFault("hang_at_start", seconds=30.0), 0.3, "not ready within 0.3 s"),
@@ -146,7 +151,8 @@ def test_a_checker_that_does_not_start_is_named(scene, fault, deadline_s, reason
         assert re.search("(?s)" + reason, verdict.reason), verdict.reason
         assert check.pid is None
         for later in (check.check(0, CLEAR_POSE), check.poll(0), check.post(0, CLEAR_POSE)):
-            assert later is not None and later.state == CheckState.FAILED_TO_START
+            assert later is not None
+            assert later.state == CheckState.FAILED_TO_START
 
 
 def test_asking_before_start_or_after_the_end_stops(scene):
@@ -181,7 +187,7 @@ print(check.pid, check.check(0, CLEAR_POSE).state, flush=True)
 
 
 @pytest.mark.parametrize(
-    "then, stop_child",
+    ("then", "stop_child"),
     [
         pytest.param("time.sleep(60)", False, id="killed"),
         pytest.param("time.sleep(60)", True, id="killed while the checker is suspended"),

@@ -80,7 +80,7 @@ def test_a_closed_mesh_is_accepted_however_its_file_counts_vertices(repeat_corne
 
 
 @pytest.mark.parametrize(
-    "faces, loose",
+    ("faces", "loose"),
     [
         pytest.param(ALL_FACES.rsplit("  ", 1)[0], 3, id="a face is missing"),
         pytest.param(ALL_FACES.replace("0 2 1", "0 1 2"), 3, id="a face looks inwards"),
@@ -107,7 +107,9 @@ def test_all_faults_are_reported_at_once():
         collect_geometry(model, ("nurse", "doctor"))
     text = str(caught.value)
     assert len(caught.value.faults) == 3
-    assert "arm 'doctor'" in text and "'shell'" in text and "'ground'" in text
+    assert "arm 'doctor'" in text
+    assert "'shell'" in text
+    assert "'ground'" in text
 
 
 def test_a_scene_that_is_missing_or_broken_is_refused_with_its_path(tmp_path: Path):

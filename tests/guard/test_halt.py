@@ -36,7 +36,8 @@ def test_only_a_reset_releases_and_the_first_cause_stays():
     assert report is not None
     assert (report.state, report.tick, report.age_ticks) == (CheckState.HALT, 12, 2)
     latch.reset()
-    assert not latch.latched and latch.report() is None
+    assert not latch.latched
+    assert latch.report() is None
     assert not latch.trip(verdict(CheckState.CLEAR), 15)
 
 
@@ -62,7 +63,8 @@ def test_an_arm_that_still_moves_has_no_stopping_time():
     latch.trip(verdict(CheckState.LATE), 0)
     latch.observe(0, "nurse", 0.1, np.array([0.1]))
     report = latch.report()
-    assert report is not None and report.stopping_time_s == {"nurse": None}
+    assert report is not None
+    assert report.stopping_time_s == {"nurse": None}
 
 
 @given(velocities, limits)

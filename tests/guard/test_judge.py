@@ -28,18 +28,20 @@ def test_a_sound_answer_is_passed_on():
     verdict = judged(CLEAR)
     assert verdict.state == CheckState.CLEAR
     assert (verdict.sequence, verdict.tick, verdict.age_ticks) == (5, 50, 3)
-    assert verdict.pair == ("nurse/a", "surgeon/b") and verdict.distance_m == 0.1
+    assert verdict.pair == ("nurse/a", "surgeon/b")
+    assert verdict.distance_m == 0.1
     assert verdict.exempt_distance_m is None
     assert judged(HALT).state == CheckState.HALT
 
 
 def test_at_the_ceiling_there_is_no_pair():
     verdict = judged(replace(CLEAR, distance_m=0.5, pair=(-1, -1)))
-    assert verdict.state == CheckState.CLEAR and verdict.pair is None
+    assert verdict.state == CheckState.CLEAR
+    assert verdict.pair is None
 
 
 @pytest.mark.parametrize(
-    "changes, reason",
+    ("changes", "reason"),
     [
         ({"distance_m": math.nan}, "distance is nan"),
         ({"distance_m": -math.inf}, "distance is -inf"),
@@ -57,9 +59,11 @@ def test_at_the_ceiling_there_is_no_pair():
 )
 def test_contradictions_are_named_and_nothing_of_them_is_used(changes: dict, reason: str):
     verdict = judged(replace(CLEAR, **changes))
-    assert verdict.state == CheckState.NONSENSE and verdict.must_stop
+    assert verdict.state == CheckState.NONSENSE
+    assert verdict.must_stop
     assert reason in verdict.reason
-    assert verdict.distance_m is None and verdict.pair is None
+    assert verdict.distance_m is None
+    assert verdict.pair is None
 
 
 def test_a_broken_exemption_halts_and_names_the_exempt_pair():
@@ -72,7 +76,8 @@ def test_a_broken_exemption_halts_and_names_the_exempt_pair():
         pair=(0, 2),
     )
     verdict = judged(broken)
-    assert verdict.state == CheckState.HALT and "'exchange'" in verdict.reason
+    assert verdict.state == CheckState.HALT
+    assert "'exchange'" in verdict.reason
     assert verdict.pair == ("nurse/a", "surgeon/b")
 
 

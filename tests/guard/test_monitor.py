@@ -51,13 +51,17 @@ def check(scene: Path) -> Iterator[FinalCheck]:
 
 def test_clear_and_halt_name_distance_pair_and_tick(check: FinalCheck):
     verdict = check.check(10, CLEAR_POSE)
-    assert verdict.state == CheckState.CLEAR and not verdict.must_stop
+    assert verdict.state == CheckState.CLEAR
+    assert not verdict.must_stop
     assert (verdict.tick, verdict.age_ticks) == (10, 0)
     verdict = check.check(11, CRASH_POSE)
-    assert verdict.state == CheckState.HALT and verdict.must_stop
-    assert verdict.pair is not None and verdict.distance_m is not None
+    assert verdict.state == CheckState.HALT
+    assert verdict.must_stop
+    assert verdict.pair is not None
+    assert verdict.distance_m is not None
     assert {name.split("/")[0] for name in verdict.pair} == {"nurse", "surgeon"}
-    assert verdict.distance_m < 0.005 and "d_min" in verdict.reason
+    assert verdict.distance_m < 0.005
+    assert "d_min" in verdict.reason
 
 
 def test_halt_begins_exactly_at_d_min(check: FinalCheck, scene: Path):
@@ -70,7 +74,8 @@ def test_halt_begins_exactly_at_d_min(check: FinalCheck, scene: Path):
         assert verdict.distance_m == pytest.approx(distance_m, abs=1e-6)
         assert (verdict.state == CheckState.HALT) == (distance_m <= 0.005)
         near, far = near or distance_m <= 0.005, far or distance_m > 0.005
-    assert near and far
+    assert near
+    assert far
 
 
 def test_lock_step_asks_on_its_ticks_and_ages_between(scene: Path):
@@ -105,7 +110,8 @@ def test_free_run_answers_in_time_and_with_age(scene: Path):
         latency = check.latency
     assert ages[0] == 0, "the first answer is waited for"
     assert latency.answers > 20
-    assert latency.compute.median_s is not None and latency.round_trip.worst_s is not None
+    assert latency.compute.median_s is not None
+    assert latency.round_trip.worst_s is not None
     assert latency.compute.median_s < latency.round_trip.worst_s
 
 
@@ -115,12 +121,13 @@ def test_an_answer_that_is_too_old_is_stale(scene: Path):
         check.post(0, CLEAR_POSE)
         assert check.poll(10).state == CheckState.CLEAR
         verdict = check.poll(11)
-    assert verdict.state == CheckState.STALE and verdict.must_stop
+    assert verdict.state == CheckState.STALE
+    assert verdict.must_stop
     assert verdict.reason == "the newest answer is 11 ticks old, 10 are allowed"
 
 
 @pytest.mark.parametrize(
-    "qpos, reason",
+    ("qpos", "reason"),
     [
         (np.zeros(3), r"shape \(3,\), the scene needs \(10,\)"),
         (np.where(np.arange(10) == 4, np.nan, 0.0), r"qpos\[4\] is not finite"),
@@ -171,7 +178,8 @@ def test_an_exempt_pair_may_meet_inside_its_window_only(check: FinalCheck):
     inside = check.check(101, near)
     assert inside.state == CheckState.CLEAR, inside
     assert inside.exempt_distance_m == pytest.approx(0.001, abs=1e-4)
-    assert inside.distance_m is not None and inside.distance_m > 0.005
+    assert inside.distance_m is not None
+    assert inside.distance_m > 0.005
 
     check.close_exemption("exchange")
     assert check.check(102, near).state == CheckState.HALT
@@ -184,7 +192,8 @@ def test_an_exemption_that_is_not_closed_expires(check: FinalCheck):
     assert check.check(last, near).state == CheckState.CLEAR
     assert check.exemption_state("exchange", last) == "open"
     verdict = check.check(last + 1, near)
-    assert verdict.state == CheckState.HALT and "expired: exchange" in verdict.reason
+    assert verdict.state == CheckState.HALT
+    assert "expired: exchange" in verdict.reason
     assert check.exemption_state("exchange", last + 1) == "expired"
     check.close_exemption("exchange")
     assert check.exemption_state("exchange", last + 1) == "closed"
@@ -216,7 +225,8 @@ def test_an_exempt_pair_has_a_smaller_distance_and_a_speed_cap_of_its_own(check:
     check.open_exemption("exchange", 405)
     deep = check.check(405, tools_at(-0.003))
     check.close_exemption("exchange")
-    assert deep.state == CheckState.HALT and deep.exempt_distance_m is not None
+    assert deep.state == CheckState.HALT
+    assert deep.exempt_distance_m is not None
     assert deep.exempt_distance_m <= EXCHANGE.d_min_m
 
 
@@ -243,7 +253,8 @@ def test_an_arm_without_geometry_is_never_clear(tmp_path: Path):
         assert started.state == CheckState.NO_GEOMETRY
         assert check.missing == ("nurse/link", "nurse")
         verdict = check.check(0, np.zeros(6))
-    assert verdict.state == CheckState.NO_GEOMETRY and verdict.must_stop
+    assert verdict.state == CheckState.NO_GEOMETRY
+    assert verdict.must_stop
     assert verdict.reason == "no high-resolution geometry for nurse/link, nurse"
     assert verdict.distance_m is not None, "what can be checked is checked"
 
@@ -251,12 +262,13 @@ def test_an_arm_without_geometry_is_never_clear(tmp_path: Path):
 def test_switched_off_it_says_so_and_starts_nothing(scene: Path):
     with FinalCheck(scene, settings(enabled=False)) as check:
         for verdict in (check.start(), check.check(0, CRASH_POSE), check.poll(0)):
-            assert verdict.state == CheckState.OFF and not verdict.must_stop
+            assert verdict.state == CheckState.OFF
+            assert not verdict.must_stop
         assert check.pid is None
 
 
 @pytest.mark.parametrize(
-    "changes, fault",
+    ("changes", "fault"),
     [
         ({"d_min_m": float("nan")}, "d_min_m: nan"),
         ({"d_min_m": 0.6}, r"below ceiling_m \(0.5\)"),

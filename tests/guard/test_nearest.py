@@ -55,7 +55,8 @@ def test_the_search_finds_what_trying_every_pair_finds(cell, seed: int):
     assert found.distance_m == pytest.approx(brute_force(model, geometry, mask, qpos), abs=1e-6)
     assert (found.pair is None) == (found.distance_m >= CEILING_M)
     if found.pair is not None:
-        assert mask[found.pair] and found.pair[0] < found.pair[1]
+        assert mask[found.pair]
+        assert found.pair[0] < found.pair[1]
 
 
 def test_the_answer_does_not_depend_on_what_was_asked_before(cell):
@@ -86,7 +87,8 @@ def test_a_crash_is_negative_and_names_the_crashing_pair(cell):
     _, geometry, table, search = cell
     search.place(CRASH_POSE)
     found = search.nearest(table.watched)
-    assert found.pair is not None and found.distance_m < -0.01
+    assert found.pair is not None
+    assert found.distance_m < -0.01
     assert {geometry.pieces[k].owner for k in found.pair} == {"nurse", "surgeon"}
 
 

@@ -27,6 +27,9 @@ from workcell.guard.nearest import NearestSearch
 from workcell.guard.pairs import PairTable, choose_pairs
 from workcell.guard.settings import CheckSettings
 
+_Grips = tuple[tuple[int, int], ...]
+"""Pairs of instrument and arm between which contact is let off."""
+
 
 class Checker:
     """Answers requests about one scene; the part of the checker that needs no process.
@@ -57,7 +60,7 @@ class Checker:
         self._search = NearestSearch(self.model, self.geometry, ceiling_m=settings.ceiling_m)
         self._masks: dict[Hashable, np.ndarray] = {}
         self._grips = [_Grip() for _ in settings.instruments]
-        self._before: dict[int, tuple[int, int, float]] = {}
+        self._before: dict[int, tuple[tuple[int, _Grips], int, float]] = {}
 
     def answer(self, request: Request) -> Answer:
         """Checks one configuration. Depends on earlier requests only for closing speeds, and for
@@ -73,7 +76,7 @@ class Checker:
             if not is_open[k]:
                 continue
             found = self._search.nearest(*self._exempt(gripping, k))
-            closing_m_s = self._closing_m_s(k, request, found.distance_m)
+            closing_m_s = self._closing_m_s(k, gripping, request, found.distance_m)
             too_near = found.distance_m <= exemption.d_min_m
             broken = too_near or closing_m_s > exemption.max_closing_m_s
             # The first exemption whose terms are broken is the one reported, else the nearest.
@@ -96,7 +99,7 @@ class Checker:
         opened = request.opened_ticks[k]
         return opened != CLOSED and 0 <= request.tick - opened < self.settings.expiry_ticks(k)
 
-    def _gripping(self, request: Request) -> tuple[tuple[int, int], ...]:
+    def _gripping(self, request: Request) -> _Grips:
         """Every (instrument, arm) whose contact is let off: holders, and hands that just let go.
 
         An instrument that is handed over still touches the hand that held it. That hand is let off
@@ -115,9 +118,7 @@ class Checker:
             gripping += [(k, arm) for arm in (holder, grip.leaving) if arm != NOBODY]
         return tuple(gripping)
 
-    def _watched(
-        self, gripping: tuple[tuple[int, int], ...], is_open: list[bool]
-    ) -> tuple[np.ndarray, Hashable]:
+    def _watched(self, gripping: _Grips, is_open: list[bool]) -> tuple[np.ndarray, Hashable]:
         """What is held against the check's own d_min now, as a mask and its name."""
         key = ("watched", gripping, tuple(is_open))
         if key not in self._masks:
@@ -127,25 +128,29 @@ class Checker:
             self._masks[key] = self.table.watched & ~lifted
         return self._masks[key], key
 
-    def _exempt(self, gripping: tuple[tuple[int, int], ...], k: int) -> tuple[np.ndarray, Hashable]:
+    def _exempt(self, gripping: _Grips, k: int) -> tuple[np.ndarray, Hashable]:
         """What is held to the terms of exemption k now: a hand's own instrument is not."""
         key = ("exempt", gripping, k)
         if key not in self._masks:
             self._masks[key] = self.table.exempt[k] & ~self._lifted_by(gripping)
         return self._masks[key], key
 
-    def _lifted_by(self, gripping: tuple[tuple[int, int], ...]) -> np.ndarray:
+    def _lifted_by(self, gripping: _Grips) -> np.ndarray:
         lifted = np.zeros_like(self.table.watched)
         for instrument, arm in gripping:
             lifted |= self.table.held[instrument, arm]
         return lifted
 
-    def _closing_m_s(self, k: int, request: Request, distance_m: float) -> float:
-        """Mean closing speed of exemption k since the last request, m/s; 0 for a window's first."""
-        opened, tick = request.opened_ticks[k], request.tick
+    def _closing_m_s(self, k: int, gripping: _Grips, request: Request, distance_m: float) -> float:
+        """Mean closing speed of exemption k since the last request, m/s.
+
+        0 for the first request of a window, and for the first after a hand has closed on an
+        instrument or come clear of one: the distances then are not of the same pairs.
+        """
+        same, tick = (request.opened_ticks[k], gripping), request.tick
         before = self._before.get(k)
-        self._before[k] = (opened, tick, distance_m)
-        if before is None or before[0] != opened or tick <= before[1]:
+        self._before[k] = (same, tick, distance_m)
+        if before is None or before[0] != same or tick <= before[1]:
             return 0.0
         return (before[2] - distance_m) / ((tick - before[1]) * self.settings.period_s)
 
