@@ -1,0 +1,135 @@
+"""What a tick costs, as ratios within one process: `make bench`. Absolute figures are printed beside them.
+
+The controller's whole tick (all pairs, both arms, every quantity a trace logs) is held against
+mink's own solution of the two arms' inverse kinematics, with the same tasks and joint limits and
+nothing else; the headless run with its trace and its final check against the clock.
+"""
+
+from __future__ import annotations
+
+import time
+
+import mink
+import mujoco
+import numpy as np
+import pytest
+
+from workcell import run as runner
+from workcell import scenario as scenario_file
+from workcell.control.controller import Controller
+from workcell.scene import cell as scene
+from workcell.scene.cell import Cell
+
+TICK_BUDGET = 2.0
+"""A whole tick may cost this many times the bare inverse kinematics."""
+REAL_TIME_BUDGET = 3.0
+"""A headless run must be this many times faster than the clock."""
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory) -> Cell:
+    return scene.build(scenario_file.load("handover"), tmp_path_factory.mktemp("bench"))
+
+
+@pytest.fixture(scope="module")
+def states(cell) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The states of the first second of the run, in which the nurse is under way."""
+    controller, data = Controller(cell), mujoco.MjData(cell.model)
+    cell.place_home(data)
+    found = []
+    for _ in range(500):
+        record = controller.step(data.qpos, data.qvel)
+        found.append((data.qpos.copy(), data.qvel.copy()))
+        data.qvel[:] = record.command_rad_s
+        mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), cell.period_s)
+    return found
+
+
+class WholeTick:
+    """The controller, fed the recorded states over and over."""
+
+    def __init__(self, cell: Cell, states):
+        self._cell, self._states = cell, states
+        self._restart()
+
+    def _restart(self) -> None:
+        self._controller, self._next = Controller(self._cell), 0
+
+    def __call__(self) -> None:
+        if self._next == len(self._states):
+            self._restart()
+        self._controller.step(*self._states[self._next])
+        self._next += 1
+
+
+class BareIk:
+    """mink alone: both arms' tool and damping tasks, both arms' joint limits, one call."""
+
+    def __init__(self, cell: Cell, states):
+        self._states, self._next, self._dt = states, 0, cell.period_s
+        self._configuration = mink.Configuration(cell.model)
+        self._tasks: list[mink.BaseTask] = []
+        velocities = {}
+        for arm in cell.arms:
+            task = mink.FrameTask(
+                arm.tool_site_name, "site", position_cost=1.0, orientation_cost=1.0
+            )
+            self._configuration.update(states[0][0])
+            task.set_target_from_configuration(self._configuration)
+            self._tasks.append(task)
+            velocities |= dict(zip(arm.joints, arm.velocity_limit_rad_s, strict=True))
+        self._tasks.append(mink.DampingTask(cell.model, cost=1e-3))
+        self._limits = [
+            mink.ConfigurationLimit(cell.model),
+            mink.VelocityLimit(cell.model, velocities),
+        ]
+
+    def __call__(self) -> None:
+        qpos, _ = self._states[self._next % len(self._states)]
+        self._next += 1
+        self._configuration.update(qpos)
+        mink.solve_ik(self._configuration, self._tasks, self._dt, "daqp", limits=self._limits)
+
+
+def median_s(function, rounds: int) -> float:
+    times = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def test_bare_inverse_kinematics(benchmark, cell, states):
+    benchmark(BareIk(cell, states))
+
+
+def test_whole_tick(benchmark, cell, states):
+    benchmark(WholeTick(cell, states))
+
+
+def test_a_tick_against_the_bare_inverse_kinematics(benchmark, cell, states):
+    """Measured in turns, so that both see the same machine."""
+    assert len(cell.pairs) >= 64
+    tick, bare = WholeTick(cell, states), BareIk(cell, states)
+    rounds = [(median_s(tick, 100), median_s(bare, 100)) for _ in range(10)]
+    benchmark(lambda: None)
+    ratio = float(np.median([a / b for a, b in rounds]))
+    benchmark.extra_info["ratio"] = ratio
+    tick_us, bare_us = (1e6 * float(np.median(column)) for column in zip(*rounds, strict=True))
+    print(
+        f"\n{len(cell.pairs)} pairs: tick {tick_us:.0f} µs, bare {bare_us:.0f} µs, ratio {ratio:.2f}"
+    )
+    assert ratio <= TICK_BUDGET
+
+
+@pytest.mark.parametrize("check", ["true", "false"])
+def test_a_headless_run_against_the_clock(benchmark, tmp_path, check):
+    overrides = ("simulation.duration_s=4.0", f"check.enabled={check}")
+    built = runner.prepare(scenario_file.load("handover", overrides), tmp_path / "scene")
+    start = time.perf_counter()
+    benchmark.pedantic(runner.simulate, (built, tmp_path), rounds=1)
+    speed = 4.0 / (time.perf_counter() - start)
+    benchmark.extra_info["times_real_time"] = speed
+    print(f"\ncheck {check}: {speed:.2f} times real time at 500 Hz, all logging")
+    assert speed >= REAL_TIME_BUDGET
