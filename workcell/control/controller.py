@@ -15,6 +15,7 @@ operator has priority: it is not, and its tool never gives way to the null space
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from workcell.control import criteria, ttc
 from workcell.control.criteria import NullspaceObjective
+from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import ArmIk, IkSolution
 from workcell.control.ladder import Ladder
@@ -176,7 +178,6 @@ class _Arm:
         """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
         self.owned_pairs = none
         """Pairs this arm answers for by slowing down."""
-        self.jacobian = np.zeros((6, nv))
         self.target: Target = standing(position, wxyz)
         self.elbow_speed_m_s = 0.0
         """Speed at which the operator wants the elbow to swing to the left."""
@@ -231,6 +232,7 @@ class Controller:
         )
         self._instrument_geom = {item.name: item.geom for item in cell.instruments}
         self._silent = np.zeros(len(cell.pairs), dtype=bool)
+        self._some_silent = False
         self._share_pairs()
         self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
@@ -310,17 +312,20 @@ class Controller:
         mujoco.mj_comVel(model, belief.data)
         mujoco.mj_sensorPos(model, belief.data)
         proximity = self._geometry.measure(belief.data)
-        proximity = replace(proximity, jacobian=self.grasps.fold(belief.data, proximity.jacobian))
+        if self.cell.instruments:
+            folded = self.grasps.fold(belief.data, proximity.jacobian)
+            proximity = replace(proximity, jacobian=folded)
         rate = proximity.rate_m_s(qvel)
         kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
         if self._settings.order == 2:
             second = second_order(self._geometry, belief.data, proximity, np.zeros(model.nv))
             self._accel_m_s2 = second.accel_m_s2
             kappa = ttc.reciprocal_second_order(proximity.distance_m, rate, second.accel_m_s2)
-        kappa[self._silent] = 0.0
+        if self._some_silent:
+            kappa[self._silent] = 0.0
         first = ttc.smallest(kappa)
         shown_distance = np.where(self._silent, np.inf, proximity.distance_m)
-        closest = int(np.argmin(shown_distance)) if len(rate) else None
+        closest = int(shown_distance.argmin()) if len(rate) else None
         shown = first.pair if first.pair >= 0 else closest
         record = TickRecord(
             tick=self.tick,
@@ -345,11 +350,13 @@ class Controller:
 
     def _look_at(self, arm: _Arm, record: TickRecord) -> ArmRecord:
         data, handles = self._belief.data, arm.handles
-        arm.jacobian = self._belief.get_frame_jacobian(handles.tool_site_name, "site")
-        wxyz = np.empty(4)
+        wxyz, twist = np.empty(4), np.empty(6)
+        mujoco.mj_objectVelocity(
+            self.cell.model, data, mujoco.mjtObj.mjOBJ_SITE, handles.tool_site, twist, 0
+        )
         mujoco.mju_mat2Quat(wxyz, data.site_xmat[handles.tool_site])
-        distance = record.pair_distance_m[arm.criterion_pairs]
-        rate = record.pair_rate_m_s[arm.criterion_pairs]
+        distance = record.pair_distance_m.take(arm.criterion_pairs)
+        rate = record.pair_rate_m_s.take(arm.criterion_pairs)
         artc = (
             criteria.artc_approaching
             if self._settings.criterion == "artc_approaching"
@@ -364,7 +371,7 @@ class Controller:
             path_s=0.0,
             tool_position_m=data.site_xpos[handles.tool_site].copy(),
             tool_wxyz=wxyz,
-            tool_speed_m_s=float(np.linalg.norm(arm.jacobian[:3] @ record.qvel)),
+            tool_speed_m_s=math.hypot(*twist[3:].tolist()),
             tool_error_m=0.0,
             tool_error_rad=0.0,
             elbow_position_m=None
@@ -432,7 +439,7 @@ class Controller:
             row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
             row.target_velocity_m_s = arm.target.velocity_m_s
             row.target_turn_rad_s = arm.target.angular_velocity_rad_s
-            row.tool_error_m = float(np.linalg.norm(row.tool_position_m - row.target_position_m))
+            row.tool_error_m = math.dist(row.tool_position_m, row.target_position_m)
             row.tool_error_rad = _angle(row.tool_wxyz, row.target_wxyz)
             arm.task_rad_s = arm.ik.aim(
                 self._belief,
@@ -448,9 +455,7 @@ class Controller:
     ) -> None:
         """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
         around = self._around(arm, record, proximity)
-        off_path = float(
-            np.linalg.norm(record.arms[arm.handles.name].tool_position_m - arm.target.position_m)
-        )
+        off_path = math.dist(record.arms[arm.handles.name].tool_position_m, arm.target.position_m)
         jobs.advance(
             self._dt,
             0.0 if arm.paused or (off_path > REJOIN_M and arm.factor > 0.0) else arm.factor,
@@ -459,7 +464,10 @@ class Controller:
         if arm.attempt == "back_off" and not arm.tried_entry:
             arm.tried_entry = jobs.try_another_entry(around)
         if jobs.hand_over is not None:
-            self.grasps.take(jobs.hand_over.instrument, jobs.hand_over.to, self._belief.data)
+            if jobs.hand_over.to is None:
+                self.grasps.let_go(jobs.hand_over.instrument)
+            else:
+                self.grasps.take(jobs.hand_over.instrument, jobs.hand_over.to, self._belief.data)
             self._share_pairs()
 
     def _around(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> Surroundings:
@@ -468,7 +476,10 @@ class Controller:
         for item in self.cell.instruments:
             axis = item.half_length_m * data.xmat[item.body].reshape(3, 3)[:, 2]
             instruments[item.name] = Instrument(
-                data.xpos[item.body].copy(), axis, self.grasps.holder(item.name)
+                data.xpos[item.body].copy(),
+                axis,
+                self.cell.model.body_pos[item.body],
+                self.grasps.holder(item.name),
             )
         return Surroundings(
             tool_position_m={name: row.tool_position_m for name, row in record.arms.items()},
@@ -498,7 +509,7 @@ class Controller:
         row.ik_status = solution.status
         arm.wanted_rad_s = solution.velocity_rad_s
         owned = arm.owned_pairs
-        own = proximity.jacobian[np.ix_(owned, arm.dofs)] @ arm.wanted_rad_s
+        own = _rows(proximity, owned, arm) @ arm.wanted_rad_s
         bound = self._bound(arm, proximity, own, other[owned])
         rung = arm.ladder.climb(
             pressed=bound.shortfall_m_s > PRESSED_M_S,
@@ -538,7 +549,7 @@ class Controller:
 
     def _path_is_free(self, arm: _Arm, proximity: Proximity, other: NDArray[np.float64]) -> bool:
         """Whether no pair would limit the arm if it only moved as its target does."""
-        own = proximity.jacobian[np.ix_(arm.owned_pairs, arm.dofs)] @ arm.ik.path_rad_s
+        own = _rows(proximity, arm.owned_pairs, arm) @ arm.ik.path_rad_s
         return self._bound(arm, proximity, own, other[arm.owned_pairs]).factor == 1.0
 
     def _yield(
@@ -549,7 +560,7 @@ class Controller:
         Times count to d_min here, so that an arm that can move fast enough is never nearer. No pair
         is brought below t_min to open another, unless the joint limits leave no other way.
         """
-        rows = proximity.jacobian[np.ix_(arm.all_pairs, arm.dofs)]
+        rows = _rows(proximity, arm.all_pairs, arm)
         gap = proximity.distance_m[arm.all_pairs] - self._settings.d_min_m
         needed = -gap / self._settings.t_min_s - other[arm.all_pairs]
         back = _backing_factor(rows @ arm.wanted_rad_s, needed)
@@ -568,13 +579,14 @@ class Controller:
     ) -> ScaleBound:
         """The pairwise rule; pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
         settings = self._settings
-        distance = proximity.distance_m[arm.owned_pairs]
-        reached = distance <= settings.d_min_m
-        reached &= ~np.isin(arm.owned_pairs, self._meeting_pairs(arm))
-        counted = np.where(reached, np.minimum(distance, 0.0), distance)
-        own, other = (
-            np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
-        )
+        counted = proximity.distance_m.take(arm.owned_pairs)
+        reached = counted <= settings.d_min_m
+        if reached.any():
+            reached &= ~np.isin(arm.owned_pairs, self._meeting_pairs(arm))
+            counted = np.where(reached, np.minimum(counted, 0.0), counted)
+            own, other = (
+                np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
+            )
         bound = pairwise_factor(
             counted, own, other, settings.t_min_s, standoff_m=settings.standoff_m
         )
@@ -617,7 +629,8 @@ class Controller:
             record.command_rad_s[arm.dofs] = arm.command_rad_s
         rate = proximity.rate_m_s(record.command_rad_s)
         kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
-        kappa[self._silent] = 0.0
+        if self._some_silent:
+            kappa[self._silent] = 0.0
         first = ttc.smallest(kappa)
         record.ttc_command_s = _or_none(first.ttc_s)
         if first.pair >= 0:
@@ -641,18 +654,12 @@ class Controller:
         task alone gives: what the path or the operator wants is not the null space's to refuse.
         """
         settings = self._settings
-        own_rate = (
-            record.pair_rate_m_s
-            if not arm.support
-            else proximity.jacobian[:, arm.dofs] @ record.qvel[arm.dofs]
-        )
-        objective = self._criterion(arm, proximity, own_rate, other)
-        rows = proximity.jacobian[np.ix_(arm.all_pairs, arm.dofs)]
-        distance = proximity.distance_m[arm.all_pairs] - settings.standoff_m
-        allowed = (
-            np.where(distance <= settings.d_min_m, 0.0, -distance / settings.t_min_s)
-            - other[arm.all_pairs]
-        )
+        objective = self._criterion(arm, record, proximity, other)
+        rows = _rows(proximity, arm.all_pairs, arm)
+        distance = proximity.distance_m.take(arm.all_pairs) - settings.standoff_m
+        allowed = distance * (-1.0 / settings.t_min_s)
+        allowed[distance <= settings.d_min_m] = 0.0
+        allowed -= other.take(arm.all_pairs)
         allowed = np.minimum(allowed, rows @ arm.task_rad_s - TASK_SLACK_M_S)
         reachable = -np.abs(rows) @ arm.handles.velocity_limit_rad_s
         near = allowed > reachable  # the rest cannot be violated at any allowed velocity
@@ -666,20 +673,21 @@ class Controller:
     def _criterion(
         self,
         arm: _Arm,
+        record: TickRecord,
         proximity: Proximity,
-        own_rate: NDArray[np.float64],
         other: NDArray[np.float64],
     ) -> NullspaceObjective:
         """What the arm's null space is for now: the scenario's criterion, or a push of the elbow to one side."""
         if arm.attempt in ("elbow_left", "elbow_right") and arm.handles.elbow_site is not None:
             return self._elbow_push(arm, 1.0 if arm.attempt == "elbow_left" else -1.0)
         pairs = arm.criterion_pairs
+        rows = _rows(proximity, pairs, arm)
         return criteria.objective(
             self._settings.criterion,
-            proximity.distance_m[pairs],
-            own_rate[pairs],
-            proximity.jacobian[np.ix_(pairs, arm.dofs)],
-            other_rate_m_s=other[pairs],
+            proximity.distance_m.take(pairs),
+            rows @ record.qvel[arm.dofs] if arm.support else record.pair_rate_m_s.take(pairs),
+            rows,
+            other_rate_m_s=other.take(pairs),
         )
 
     def _elbow_push(self, arm: _Arm, side: float) -> NullspaceObjective:
@@ -767,6 +775,7 @@ class Controller:
         }
         parties = [self.grasps.parties(k) for k in range(len(self.cell.pairs))]
         self._silent = np.array([not names for names in parties], dtype=bool)
+        self._some_silent = bool(self._silent.any())
         for arm in self._arms:
             name = arm.handles.name
             mine = [k for k, names in enumerate(parties) if name in names]
@@ -781,8 +790,13 @@ class Controller:
             )
 
     def _finite(self, values: NDArray[np.float64], what: str) -> None:
-        if not np.isfinite(values).all():
+        if not all_finite(values):
             raise ControlFault(self.tick, f"{what}, is not finite: {np.asarray(values).tolist()}")
+
+
+def _rows(proximity: Proximity, pairs: NDArray[np.intp], arm: _Arm) -> NDArray[np.float64]:
+    """(R, n) rows of G of some pairs, columns of an arm's joints."""
+    return proximity.jacobian.take(pairs, axis=0).take(arm.dofs, axis=1)
 
 
 def _backing_factor(own_m_s: NDArray[np.float64], needed_m_s: NDArray[np.float64]) -> float | None:
@@ -807,5 +821,5 @@ def _or_none(value: float) -> float | None:
 def _angle(a_wxyz: NDArray[np.float64], b_wxyz: NDArray[np.float64]) -> float:
     """Angle of the rotation between two unit quaternions, accurate near zero."""
     # |a - b| and |a + b| are 2 sin and 2 cos of a quarter of the angle; the sign of a quaternion is free.
-    apart, along = np.linalg.norm(a_wxyz - b_wxyz), np.linalg.norm(a_wxyz + b_wxyz)
-    return float(4.0 * np.arctan2(min(apart, along), max(apart, along)))
+    apart, along = math.dist(a_wxyz, b_wxyz), math.dist(a_wxyz, -b_wxyz)
+    return 4.0 * math.atan2(min(apart, along), max(apart, along))
