@@ -54,7 +54,6 @@ def compare(
 ) -> int:
     """Compare a run with a reference: where they part, which quantity moved first, by how much. Exit status 0 same, 1 differs, 2 not comparable."""
     from workcell import regression
-    from workcell.trace import metrics
     from workcell.trace.compare import compare as compare_excerpts
     from workcell.trace.compare import excerpt
     from workcell.trace.table import load
@@ -68,7 +67,7 @@ def compare(
     options = regression.CLOSED if wide else {}
     result = compare_excerpts(excerpt(mine), theirs, other_settings=other_settings, **options)
     if kept is not None and result.kind != "not comparable":
-        changes = regression.metric_changes(metrics.summarise(mine), kept.metrics)
+        changes = regression.metric_changes_of_trace(mine, kept.metrics)
     folder = run if run.is_dir() else run.parent
     report(result, folder / f"{REPORT}.txt", changes or ())
     if result.kind == "not comparable":

@@ -183,6 +183,12 @@ def check_closed_loop(
     )
 
 
+def metric_changes_of_trace(trace: Trace, reference: Mapping[str, Any]) -> tuple[MetricChange, ...]:
+    """The same for a trace alone, which does not tell how its run ended."""
+    now = metrics_of(trace)
+    return metric_changes(now, {name: was for name, was in reference.items() if name in now})
+
+
 def metric_changes(
     now: Mapping[str, Any], reference: Mapping[str, Any]
 ) -> tuple[MetricChange, ...]:
