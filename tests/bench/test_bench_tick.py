@@ -17,6 +17,7 @@ import pytest
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.control.controller import Controller
+from workcell.control.ik import ArmIk
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 
@@ -63,32 +64,38 @@ class WholeTick:
 
 
 class BareIk:
-    """mink alone: both arms' tool and damping tasks, both arms' joint limits, one call."""
+    """mink alone: both arms' tasks, tool equalities and joint limits of the controller in one call."""
 
     def __init__(self, cell: Cell, states):
         self._states, self._next, self._dt = states, 0, cell.period_s
         self._configuration = mink.Configuration(cell.model)
-        self._tasks: list[mink.BaseTask] = []
-        velocities = {}
-        for arm in cell.arms:
-            task = mink.FrameTask(
-                arm.tool_site_name, "site", position_cost=1.0, orientation_cost=1.0
+        self._configuration.update(states[0][0])
+        control = cell.scenario.control
+        self._arms = [
+            ArmIk(
+                arm,
+                nv=cell.model.nv,
+                dt_s=cell.period_s,
+                task_gain_per_s=control.task_gain_per_s,
+                criterion_gain=control.criterion_gain,
             )
-            self._configuration.update(states[0][0])
-            task.set_target_from_configuration(self._configuration)
-            self._tasks.append(task)
-            velocities |= dict(zip(arm.joints, arm.velocity_limit_rad_s, strict=True))
-        self._tasks.append(mink.DampingTask(cell.model, cost=1e-3))
-        self._limits = [
-            mink.ConfigurationLimit(cell.model),
-            mink.VelocityLimit(cell.model, velocities),
+            for arm in cell.arms
         ]
+        for arm in self._arms:
+            arm.tool.set_target_from_configuration(self._configuration)
+        self._program = {
+            "tasks": [task for arm in self._arms for task in arm.tasks],
+            "constraints": [task for arm in self._arms for task in arm.constraints],
+            "limits": [arm.limit for arm in self._arms],
+        }
 
     def __call__(self) -> None:
         qpos, _ = self._states[self._next % len(self._states)]
         self._next += 1
         self._configuration.update(qpos)
-        mink.solve_ik(self._configuration, self._tasks, self._dt, "daqp", limits=self._limits)
+        for arm in self._arms:
+            arm.tool.set_target_from_configuration(self._configuration)
+        mink.solve_ik(self._configuration, dt=self._dt, solver="daqp", **self._program)
 
 
 def median_s(function, rounds: int) -> float:
