@@ -56,14 +56,20 @@ def list_() -> int:
 
 
 def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
-    """Check a scenario without running it: the file, the cell, the start, reach and room to brake."""
+    """Check a scenario without running it: the file, the cell, the start, reach, room to brake, and the final check's geometry."""
     from workcell import run as runner
+    from workcell.guard.orders import try_checker
+    from workcell.scene.compose import SCENE_FILE
 
     loaded = scenario_file.load(scenario, set)
     with tempfile.TemporaryDirectory() as folder:
         cell = runner.prepare(loaded, Path(folder))
+        checked = "off"
+        if loaded.check.enabled:
+            table = try_checker(cell, Path(folder) / SCENE_FILE).table
+            checked = f"{table.count} pairs of pieces"
     _out.print(
-        f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, {loaded.ticks} ticks: can be run"
+        f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
     )
     return OK
 
@@ -257,6 +263,9 @@ def _report(summary: dict, folder: Path) -> None:
         )
     if summary["expectations"]:
         _out.print(table)
+    halt = summary["final_check"].get("halt")
+    if halt:
+        _err.print(f"stopped by the final check, {halt['state']}: {halt['reason']}", markup=False)
     if summary["metrics"]["fault"]:
         _err.print(f"stopped: {summary['metrics']['fault']}", markup=False)
     _out.print(

@@ -28,14 +28,13 @@ from workcell.control.controller import Controller
 from workcell.errors import ControlFault, InputError
 from workcell.expect import judge
 from workcell.guard.monitor import FinalCheck
-from workcell.guard.orders import check_settings
+from workcell.guard.orders import check_settings, refusal, without_geometry
 from workcell.guard.supervisor import LatchedCheck
 from workcell.plant import Measurement
 from workcell.scenario import Live, Meet, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
-from workcell.scene.handles import HOUSING_GROUP
 from workcell.signals import Layout
 from workcell.trace import metrics
 from workcell.trace.room import check_room, check_writable
@@ -46,6 +45,8 @@ SUMMARY_FILE = "summary.json"
 ORIGIN_FILE = "origin.json"
 RECORDING_FILE = "recording.rrd"
 SCENE_FOLDER = "scene"
+CHECK_STOP = "stopped_by_check"
+"""Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
 
 PACKAGES = (
     "workcell",
@@ -175,15 +176,14 @@ def final_check(cell: Cell, out: Path) -> Iterator[LatchedCheck | None]:
         yield None
         return
     with FinalCheck(out / SCENE_FOLDER / SCENE_FILE, check_settings(cell)) as check:
-        verdict = check.start()
+        try:
+            verdict = check.start()
+        except InputError as error:
+            raise refusal(cell, error.faults) from error
         if check.missing:
-            raise InputError(
-                f"check.enabled = true: the final check has no geometry for {', '.join(check.missing)}; "
-                f"give them convex geoms of group {HOUSING_GROUP}, or set check.enabled = false",
-                file=cell.scenario.file,
-            )
+            raise refusal(cell, [without_geometry(check.missing)])
         if verdict.must_stop:
-            raise InputError(f"check: {verdict.reason}", file=cell.scenario.file)
+            raise refusal(cell, [f"{verdict.state}: {verdict.reason}"])
         yield LatchedCheck(check, period_s=cell.period_s)
 
 
@@ -214,11 +214,18 @@ def rebuild_recording(out: Path) -> Path:
 
 def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
     """Metrics of a run, the verdict on each expectation, and where it all came from."""
-    values = metrics.summarise(trace) | {"fault": ending.fault, "interrupted": ending.interrupted}
+    stop = _stop_of_check(ending)
+    values = metrics.summarise(trace) | {
+        "fault": ending.fault,
+        "interrupted": ending.interrupted,
+        CHECK_STOP: stop,
+    }
     verdicts = judge(values, cell.scenario.expect)
     held = (
         ending.fault is None
         and not ending.interrupted
+        # A stop that the scenario expects is judged like any expectation.
+        and (stop in ("off", "none") or CHECK_STOP in verdicts)
         and all(v["held"] for v in verdicts.values())
     )
     return {
@@ -232,6 +239,14 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         "omitted_pairs": [list(pair) for pair in cell.pairs.omitted],
         "versions": versions(),
     }
+
+
+def _stop_of_check(ending: Ending) -> str:
+    """`off`, `none`, or the state in which the final check stopped the arms (docs/final_check.md)."""
+    if ending.check is None:
+        return "off"
+    halt = ending.check["halt"]
+    return "none" if halt is None else str(halt["state"])
 
 
 def layout(cell: Cell) -> Layout:

@@ -21,7 +21,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Latency:
-    """Times of all answered requests of a run, wall clock."""
+    """Times of all answered requests of a run; wall clock, but for the hand-over."""
 
     answers: int
     """How many requests were answered."""
@@ -30,7 +30,8 @@ class Latency:
     compute: Spread
     """The checker's own part of that."""
     handover: Spread
-    """The asking process's own part: writing the request, reading the answer."""
+    """The asking process's own part, writing the request and reading the answer: processor time
+    of its thread, so that being preempted by the checker it wakes does not count as work."""
 
 
 class LatencyLog:

@@ -195,7 +195,7 @@ class FinalCheck:
         self._tick = tick
         if self._process is None or self._link is None:
             return self._fault(CheckState.FAILED_TO_START, self._down)
-        started = time.perf_counter()
+        started = time.thread_time()
         qpos = np.asarray(qpos, dtype=float)
         if qpos.shape != (self._nq,):
             reason = f"qpos has shape {qpos.shape}, the scene needs ({self._nq},)"
@@ -206,13 +206,13 @@ class FinalCheck:
         if self._is_waiting and not self._given_up:
             return None
         self._sequence += 1
+        self._posted_at_s = time.monotonic()
         self._link.post(
             Request(self._sequence, tick, tuple(self._opened), qpos, tuple(self._holders))
         )
         self._process.wake()
-        self._posted_at_s = time.monotonic()
         self._old_answers = 0
-        self._log.posted(time.perf_counter() - started)
+        self._log.posted(time.thread_time() - started)
         return None
 
     def poll(self, tick: int | None = None) -> Verdict:
@@ -252,7 +252,7 @@ class FinalCheck:
         until_s = time.monotonic() + wait_s
         while True:
             alive, woken = process.listen(max(0.0, until_s - time.monotonic()))
-            started = time.perf_counter()
+            started = time.thread_time()
             if not alive:
                 return self._fault(CheckState.LOST, process.obituary())
             if woken:
@@ -273,7 +273,7 @@ class FinalCheck:
                     self._log.answered(
                         time.monotonic() - self._posted_at_s,
                         answer.compute_s,
-                        time.perf_counter() - started,
+                        time.thread_time() - started,
                     )
                     return verdict
                 self._old_answers += woken

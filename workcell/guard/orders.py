@@ -7,7 +7,13 @@ an instrument over, `<arm>_<instrument>` where one is fetched.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from workcell.control.grasp import hand_bodies
+from workcell.errors import InputError
+from workcell.guard.checker import Checker
+from workcell.guard.geometry import HOUSING_GROUP
 from workcell.guard.settings import CheckSettings, Exemption, Held
 from workcell.scenario import Exchange, Fetch, Meet
 from workcell.scene.cell import Cell
@@ -35,6 +41,36 @@ def check_settings(cell: Cell) -> CheckSettings:
             for arm in cell.arms
         ),
         release_s=MEETING_S,
+    )
+
+
+def try_checker(cell: Cell, scene_xml: Path) -> Checker:
+    """The checker without its process: what a look at a scenario needs.
+
+    Raises:
+        InputError: the check could not judge this scene; names the scenario file and every part at fault.
+    """
+    try:
+        checker = Checker(scene_xml, check_settings(cell))
+    except InputError as error:
+        raise refusal(cell, error.faults) from error
+    if checker.geometry.missing:
+        raise refusal(cell, [without_geometry(checker.geometry.missing)])
+    return checker
+
+
+def refusal(cell: Cell, faults: Sequence[str]) -> InputError:
+    """What the checker found wrong with a scene, in the words of the scenario file."""
+    return InputError(
+        [f"check.enabled = true: {fault}" for fault in faults], file=cell.scenario.file
+    )
+
+
+def without_geometry(missing: Sequence[str]) -> str:
+    """The fault of a scene in which arms have parts that the check could not see."""
+    return (
+        f"the final check has no geometry for {', '.join(missing)}; give them convex geoms of group "
+        f"{HOUSING_GROUP}, or set check.enabled = false"
     )
 
 

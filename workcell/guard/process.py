@@ -8,6 +8,7 @@ parent's program, so that nothing of the controller is in the checker.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -37,7 +38,7 @@ class CheckerProcess:
         self.memory = shared_file()
         wake_read, self._wake = os.pipe()
         self._done, done_write = os.pipe()
-        self._errors: IO[bytes] = tempfile.TemporaryFile()
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed by `_end`)
         order = {
             "scene": str(scene_xml.resolve()),
             "settings": settings.to_json(),
@@ -96,11 +97,9 @@ class CheckerProcess:
 
     def wake(self) -> None:
         """Tells the checker that there is a request."""
-        try:
+        # Full: it has wake-ups enough, it is not reading them. Broken: `listen` will say so.
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(self._wake, b".")
-        except (BlockingIOError, BrokenPipeError):
-            # Full: it has wake-ups enough, it is not reading them. Broken: `listen` will say so.
-            pass
 
     def listen(self, wait_s: float) -> tuple[bool, bool]:
         """Waits for a sign of an answer. Returns (the process lives, a sign has come)."""

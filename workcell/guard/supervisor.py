@@ -63,6 +63,7 @@ class LatchedCheck:
     def __init__(self, check: FinalCheck, *, period_s: float, live: bool = False):
         self._check = check
         self._latch = HaltLatch(period_s)
+        self._period_s = period_s
         self._live = live
         self._open: set[str] = set()
 
@@ -81,11 +82,13 @@ class LatchedCheck:
 
     def account(self) -> dict[str, Any]:
         """What goes into the summary: size, latencies of this machine, and the halt if there was one."""
-        halt = self.report()
+        halt, latency = self.report(), self._check.latency
+        handover_s = latency.handover.median_s
         return {
             "pieces": len(self._check.pieces),
             "pairs": self._check.pair_count,
-            "latency": asdict(self._check.latency),
+            "latency": asdict(latency),
+            "handover_share_of_tick": None if handover_s is None else handover_s / self._period_s,
             "halt": None if halt is None else asdict(halt),
         }
 
