@@ -28,6 +28,9 @@ TEXT_S = 0.2
 """Time between two texts; chosen as fast as digits can be read."""
 CLOSING_S = 5.0
 """Longest wait for the viewer to end, so that a stuck driver does not hold the run's results back."""
+VIEW_DISTANCE_M = 2.2
+VIEW_ANGLES_DEG = (90.0, -30.0)
+"""Where the camera starts: along y, so that the arrow keys move the target as the picture shows it."""
 MARKER_HALF_EXTENTS_M = (0.02, 0.02, 0.05)
 MARKER_RGBA = (0.2, 0.75, 0.35, 0.6)
 _WITNESS_RGBA = np.array([0.95, 0.75, 0.1, 1.0], dtype=np.float32)
@@ -123,6 +126,11 @@ class Window:
         with self._handle.lock():
             for effect in _COSTLY_EFFECTS:
                 self._handle.user_scn.flags[effect] = 0
+            # Distance sensors would be drawn as well, from data that is not computed here.
+            self._handle.opt.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
+            camera, there = self._handle.cam, self._data.mocap_pos[self._keyed]
+            camera.lookat, camera.distance = there, VIEW_DISTANCE_M
+            camera.azimuth, camera.elevation = VIEW_ANGLES_DEG
         self._open.set()
         self._threads = [
             threading.Thread(target=loop, daemon=True) for loop in (self._frames, self._texts)
@@ -191,7 +199,7 @@ class Window:
         while self._open.is_set() and self._handle.is_running():
             with self._guard:
                 text = self._picture.text
-            font, place = mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_TOPLEFT
+            font, place = mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
             self._handle.set_texts((font, place, *text))
             time.sleep(TEXT_S)
 

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from workcell import scenario
 from workcell.motion.path import standing
-from workcell.motion.recording import CAUGHT_UP_M, CAUGHT_UP_RAD
 from workcell.motion.samples import Sample, SampleFilter, Tolerances
-from workcell.motion.slew import Caps, TargetGovernor, rotation_between
-from workcell.motion.wish import CATCHING_UP, VALID, Wish
+from workcell.motion.slew import Caps, TargetGovernor
+from workcell.motion.wish import VALID, Wish
 
 
 class LiveOperator:
@@ -52,8 +51,6 @@ class LiveOperator:
         self.start = standing(position_m, wxyz)
         """The pose kept until the first sample."""
         self._came: deque[Sample] = deque()
-        self._behind = False
-        """Whether a fault has left the target behind the stream."""
 
     def offer(self, sample: Sample) -> None:
         """Hand in a sample; it is judged at the next tick."""
@@ -73,12 +70,5 @@ class LiveOperator:
             # A sample within the tolerance is normalised; one that is exact stays so.
             norm = float(np.linalg.norm(sample.wxyz))
             wanted = standing(sample.position_m, sample.wxyz / norm)
-        target = self._governor.follow(wanted)
-        if (
-            np.linalg.norm(wanted.position_m - target.position_m) < CAUGHT_UP_M
-            and np.linalg.norm(rotation_between(target.wxyz, wanted.wxyz)) < CAUGHT_UP_RAD
-        ):
-            self._behind = False
-        elif state != VALID:
-            self._behind = True
-        return Wish(target, "live", CATCHING_UP if self._behind and state == VALID else state)
+        target, state = self._governor.follow(wanted, state)
+        return Wish(target, "live", state)

@@ -23,7 +23,7 @@ from workcell.errors import InputError
 from workcell.motion.path import Target, standing
 from workcell.motion.samples import HAND_SPEED_M_S, HAND_TURN_RAD_S
 from workcell.motion.slew import Caps, TargetGovernor, rotation_between, turned
-from workcell.motion.wish import CATCHING_UP, ENDED, GAP, JUMP, VALID, WAITING, Wish
+from workcell.motion.wish import ENDED, GAP, JUMP, VALID, WAITING, Wish
 
 POSE_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 """Columns a recording must have."""
@@ -33,9 +33,6 @@ UNIT_TOLERANCE = scenario.UNIT_QUATERNION_TOLERANCE
 """How far the norm of a quaternion may be off 1; it is then normalised."""
 _EXACT = 1e-12
 """A quaternion this near to length 1 is left as it is, so that a replay is exact to the last bit."""
-CAUGHT_UP_M = 1e-3
-CAUGHT_UP_RAD = 1e-2
-"""After a fault the target counts as back on its input within these; chosen as what a hand does not feel."""
 _FAULTS_SHOWN = 10
 
 
@@ -152,20 +149,11 @@ class RecordingOperator:
             settings.max_turn_rad_s2,
         )
         self._governor = TargetGovernor(caps, position_m, wxyz, period_s=period_s)
-        self._behind = False
-        """Whether a fault has left the target behind its input."""
 
     def wish(self, time_s: float) -> Wish:
         wanted, state = self._wanted(time_s - self._settings.start_s)
-        target = self._governor.follow(wanted)
-        if self._governor.following or (
-            np.linalg.norm(wanted.position_m - target.position_m) < CAUGHT_UP_M
-            and np.linalg.norm(rotation_between(target.wxyz, wanted.wxyz)) < CAUGHT_UP_RAD
-        ):
-            self._behind = False
-        elif state != VALID:
-            self._behind = True
-        return Wish(target, "recording", CATCHING_UP if self._behind and state == VALID else state)
+        target, state = self._governor.follow(wanted, state)
+        return Wish(target, "recording", state)
 
     def _wanted(self, time_s: float) -> tuple[Target, str]:
         """The recording's own pose and twist at a time, and what is wrong with it there."""

@@ -123,20 +123,21 @@ class SampleFilter:
             return REPEATED
         if sample.stamp_s < self._newest_s:
             return OUT_OF_ORDER
+        passed_s = sample.stamp_s - self._newest_s if self._good is not None else 0.0
         self._newest_s = sample.stamp_s
         if now_s - sample.stamp_s > limits.late_s:
             return LATE
-        if self._good is not None and self._leaps(self._good, sample):
-            if self._leapt is None or self._leaps(self._leapt, sample):
+        if self._good is not None and self._leaps(self._good, sample, passed_s):
+            if self._leapt is None or self._leaps(self._leapt, sample, passed_s):
                 self._leapt_s = now_s
             self._leapt = sample
             if now_s - self._leapt_s < limits.jump_confirm_s:
                 return JUMP
         return VALID
 
-    def _leaps(self, before: Sample, sample: Sample) -> bool:
+    def _leaps(self, before: Sample, sample: Sample, passed_s: float) -> bool:
+        """Whether a sample is farther off than a hand moves in the time since the last sample of any kind."""
         limits = self._tolerances
-        passed_s = sample.stamp_s - before.stamp_s
         return bool(
             np.linalg.norm(sample.position_m - before.position_m)
             > limits.jump_m + HAND_SPEED_M_S * passed_s

@@ -18,9 +18,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from workcell.motion.path import Target, standing
+from workcell.motion.wish import CATCHING_UP, VALID
 
 GAIN_PER_S = 10.0
 """Rate at which a small distance is closed; chosen as the controller's own default task gain."""
+CAUGHT_UP_M = 1e-3
+CAUGHT_UP_RAD = 1e-2
+"""After a fault the target counts as back on its input within these, beyond what it always lags behind a moving one;
+chosen as what a hand does not feel."""
 _ROUNDING = 1.0 + 1e-6
 """A cap kept to the last bit must not read as broken."""
 
@@ -55,15 +60,36 @@ class TargetGovernor:
         self._caps = caps
         self._dt = period_s
         self.target = standing(position_m, wxyz)
-        self.following = True
-        """Whether the last input passed unchanged."""
+        self._behind = False
+        """Whether a fault has left the target behind its input."""
 
-    def follow(self, wanted: Target) -> Target:
-        """The target of this tick; one call a tick."""
+    def follow(self, wanted: Target, state: str) -> tuple[Target, str]:
+        """One call a tick.
+
+        Args:
+            wanted: The input.
+            state: Its state, see `workcell.motion.wish`.
+
+        Returns:
+            The target, and the state: `catching_up` where the input is valid again but still ahead.
+        """
+        target = self._next(wanted)
+        if state != VALID:
+            self._behind = True
+        elif (
+            np.linalg.norm(wanted.position_m - target.position_m)
+            < CAUGHT_UP_M + np.linalg.norm(target.velocity_m_s) / GAIN_PER_S
+            and np.linalg.norm(rotation_between(target.wxyz, wanted.wxyz))
+            < CAUGHT_UP_RAD + np.linalg.norm(target.angular_velocity_rad_s) / GAIN_PER_S
+        ):
+            self._behind = False
+        return target, CATCHING_UP if self._behind and state == VALID else state
+
+    def _next(self, wanted: Target) -> Target:
         last, caps, dt = self.target, self._caps, self._dt
         away = wanted.position_m - last.position_m
         turn = rotation_between(last.wxyz, wanted.wxyz)
-        self.following = _keeps(
+        passes = _keeps(
             away, wanted.velocity_m_s, last.velocity_m_s, caps.speed_m_s, caps.acceleration_m_s2, dt
         ) and _keeps(
             turn,
@@ -73,7 +99,7 @@ class TargetGovernor:
             caps.turn_rad_s2,
             dt,
         )
-        if self.following:
+        if passes:
             self.target = wanted
             return wanted
         velocity = _slew(
