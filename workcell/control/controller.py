@@ -236,6 +236,7 @@ class Controller:
         self._share_pairs()
         self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
+        self._failure: BaseException | None = None
 
     @property
     def operators(self) -> dict[str, Operator]:
@@ -253,7 +254,9 @@ class Controller:
 
     @property
     def record(self) -> TickRecord:
-        """The record of the last tick."""
+        """The record of the last tick; raises what its tick has raised inside MuJoCo's callback."""
+        if self._failure is not None:
+            raise self._failure
         if self._record is None:
             raise RuntimeError("the controller has not ticked yet")
         return self._record
@@ -272,6 +275,16 @@ class Controller:
             data: The plant, of which the controls are written; the servos' own encoders see its joints.
             qpos, qvel: What the controller is told of its state.
         """
+        try:
+            self._act(data, qpos, qvel)
+        except BaseException as error:
+            # MuJoCo leaves a callback that raises by a long jump, which ends the whole process if
+            # the callback has called MuJoCo itself. So it waits for `record`, which is asked next.
+            self._failure = error
+
+    def _act(
+        self, data: mujoco.MjData, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
+    ) -> None:
         self.step(qpos, qvel)
         for arm in self._arms:
             if arm.servo.write(data, np.asarray(data.qpos)[arm.handles.qpos], arm.command_rad_s):
