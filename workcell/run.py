@@ -25,13 +25,14 @@ import numpy as np
 
 from workcell.control import feasible
 from workcell.control.controller import Controller
+from workcell.control.grasp import hand_bodies
 from workcell.errors import ControlFault, InputError
 from workcell.expect import judge
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.orders import check_settings, refusal, without_geometry
 from workcell.guard.supervisor import LatchedCheck
 from workcell.plant import Measurement
-from workcell.scenario import Live, Meet, Scenario
+from workcell.scenario import Exchange, Fetch, Live, Meet, Put, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
@@ -270,6 +271,8 @@ def metadata(cell: Cell) -> dict[str, str]:
         "seed": str(cell.scenario.simulation.seed),
         "model_sha256": cell.digest,
         "meeting_pairs": json.dumps(meeting_pairs(cell)),
+        "hands": json.dumps(hands(cell)),
+        "dofs": json.dumps({arm.name: arm.dofs.tolist() for arm in cell.arms}),
     }
 
 
@@ -289,12 +292,29 @@ def _platform() -> str:
     return f"{platform.system()} {platform.machine()} Python {platform.python_version()}"
 
 
+def hands(cell: Cell) -> dict[str, list[int]]:
+    """Watched pairs of an instrument with an arm's own hand, by `instrument=arm`: they do not count while it holds it."""
+    bodies = {arm.name: hand_bodies(cell.model, arm) for arm in cell.arms}
+    found: dict[str, list[int]] = {}
+    for k, (geoms, owners) in enumerate(zip(cell.pairs.geoms, cell.pairs.owners, strict=True)):
+        item, arm = owners
+        if arm in bodies and item not in bodies and cell.model.geom_bodyid[geoms[1]] in bodies[arm]:
+            found.setdefault(f"{item}={arm}", []).append(k)
+    return found
+
+
 def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
-    """Watched pairs that a job brings together on purpose: the tools of the arms that meet."""
+    """Watched pairs that a job brings together on purpose: tools that meet, and instruments with the hands they pass through."""
     tools = {arm.name: cell.model.site_bodyid[arm.tool_site] for arm in cell.arms}
-    meetings = [
-        {arm.name, job.arm} for arm in cell.scenario.arm for job in arm.job if isinstance(job, Meet)
-    ]
+    meetings: list[set[str]] = []
+    for arm in cell.scenario.arm:
+        for job in arm.job:
+            if isinstance(job, Meet):
+                meetings.append({arm.name, job.arm})
+            elif isinstance(job, Exchange):
+                meetings += [{arm.name, job.instrument}, {job.arm, job.instrument}]
+            elif isinstance(job, (Fetch, Put)):
+                meetings.append({arm.name, job.instrument})
     return [
         names
         for (g, h), names, owners in zip(
@@ -302,7 +322,8 @@ def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
         )
         if set(owners) in meetings
         and all(
-            cell.model.geom_bodyid[x] == tools[str(o)] for x, o in zip((g, h), owners, strict=True)
+            o not in tools or cell.model.geom_bodyid[x] == tools[o]
+            for x, o in zip((g, h), owners, strict=True)
         )
     ]
 

@@ -225,6 +225,13 @@ class Exchange(_Motion):
     dwell_s: NonNegative = 0.5
 
 
+class Put(_Motion):
+    """Bring an instrument back to where it lay at the start, free end down, and let go of it."""
+
+    kind: Literal["put"]
+    instrument: Name
+
+
 class Wait(_Table):
     """Stand still."""
 
@@ -240,7 +247,7 @@ class Retreat(_Motion):
 
 
 Job = Annotated[
-    Move | Meet | Fetch | Present | Exchange | Wait | Retreat, Field(discriminator="kind")
+    Move | Meet | Fetch | Present | Exchange | Put | Wait | Retreat, Field(discriminator="kind")
 ]
 
 
@@ -416,10 +423,16 @@ def _known(name: str | None, allowed: list[str], where: str, what: str) -> None:
         )
 
 
-def _carry(holder: dict[str, str | None], arm: str, job: Fetch | Exchange, where: str) -> None:
+def _carry(
+    holder: dict[str, str | None], arm: str, job: Fetch | Exchange | Put, where: str
+) -> None:
     """Follow one arm's jobs with the instruments: nobody gives what it does not hold, or takes with a full hand."""
+    giver: str | None
+    taker: str | None
     if isinstance(job, Fetch):
         giver, taker = None, arm
+    elif isinstance(job, Put):
+        giver, taker = arm, None
     else:
         giver, taker = (arm, job.arm) if job.direction == "give" else (job.arm, arm)
     if holder[job.instrument] != giver:
@@ -427,7 +440,7 @@ def _carry(holder: dict[str, str | None], arm: str, job: Fetch | Exchange, where
         raise ValueError(
             f"{where}: {job.instrument} must be held by {giver or 'nobody'} then, but {has} holds it"
         )
-    if taker in holder.values():
+    if taker is not None and taker in holder.values():
         raise ValueError(f"{where}: {taker} holds an instrument already")
     holder[job.instrument] = taker
 
@@ -477,8 +490,16 @@ class Scenario(_Table):
                 where = f"arm {arm.name}: job {index % len(arm.job)} ({job.kind})"
                 if isinstance(job, (Meet, Present, Exchange)):
                     _known(job.arm, others, f"{where}: arm", "another arm")
-                if isinstance(job, (Fetch, Exchange)):
+                if isinstance(job, (Fetch, Exchange, Put)):
                     _known(job.instrument, list(holder), f"{where}: instrument", "an instrument")
+                    if isinstance(job, Put) and next(
+                        item.position_m is None
+                        for item in self.instrument
+                        if item.name == job.instrument
+                    ):
+                        raise ValueError(
+                            f"{where}: {job.instrument} has no place of its own (position_m)"
+                        )
                     _carry(holder, arm.name, job, where)
         return self
 
@@ -702,6 +723,7 @@ _TAGGED = {
     "fetch": Fetch,
     "present": Present,
     "exchange": Exchange,
+    "put": Put,
     "wait": Wait,
     "retreat": Retreat,
 }

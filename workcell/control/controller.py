@@ -66,6 +66,8 @@ REJOIN_M = 0.02
 """Off its path by more than this, after giving way, an arm first comes back before the path's clock goes on."""
 ELBOW_PUSH = 0.25
 """Strength of the push to one side; chosen so that the elbow swings at about 0.5 rad/s at the default criterion gain."""
+FIXED_ELBOW_M2 = 1e-6
+"""Square of the lever (1 mm) below which no self-motion moves the elbow sideways."""
 MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
 
@@ -692,7 +694,10 @@ class Controller:
     ) -> NullspaceObjective:
         """What the arm's null space is for now: the scenario's criterion, or a push of the elbow to one side."""
         if arm.attempt in ("elbow_left", "elbow_right") and arm.handles.elbow_site is not None:
-            return self._elbow_push(arm, 1.0 if arm.attempt == "elbow_left" else -1.0)
+            side = 1.0 if arm.attempt == "elbow_left" else -1.0
+            return _preferring(side * ELBOW_PUSH * self._elbow_row(arm))
+        if arm.elbow_speed_m_s != 0.0 and arm.handles.elbow_site is not None:
+            return self._elbow_swing(arm)
         pairs = arm.criterion_pairs
         rows = _rows(proximity, pairs, arm)
         return criteria.objective(
@@ -703,8 +708,18 @@ class Controller:
             other_rate_m_s=other.take(pairs),
         )
 
-    def _elbow_push(self, arm: _Arm, side: float) -> NullspaceObjective:
-        """Swing the elbow sideways, left as seen from the base towards the tool."""
+    def _elbow_swing(self, arm: _Arm) -> NullspaceObjective:
+        """Swing the elbow at the speed the operator wants, as far as the tool's task leaves it free."""
+        row = self._elbow_row(arm)
+        tool = self._belief.get_frame_jacobian(arm.handles.tool_site_name, "site")[:, arm.dofs]
+        free = row - np.linalg.pinv(tool, rcond=1e-3) @ (tool @ row)
+        mobility = float(free @ free)
+        if mobility < FIXED_ELBOW_M2 or arm.ik.criterion.gain == 0.0:
+            return _preferring(np.zeros_like(row))
+        return _preferring(arm.elbow_speed_m_s / (arm.ik.criterion.gain * mobility) * row)
+
+    def _elbow_row(self, arm: _Arm) -> NDArray[np.float64]:
+        """(n,) speed of the elbow to the left, as seen from the base towards the tool, for each joint's."""
         model, data = self.cell.model, self._belief.data
         elbow = arm.handles.elbow_site
         body = model.site_bodyid[elbow]
@@ -714,18 +729,24 @@ class Controller:
         left /= max(float(np.linalg.norm(left)), 1e-9)
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jac(model, data, jacobian, None, data.site_xpos[elbow], body)
-        n = len(arm.dofs)
-        return NullspaceObjective(
-            np.zeros((n, n)), -side * ELBOW_PUSH * left @ jacobian[:, arm.dofs]
-        )
+        return left @ jacobian[:, arm.dofs]
 
     def _rate_of_others(self, arm: _Arm, proximity: Proximity) -> NDArray[np.float64]:
-        """(P,) the part of each pair's rate that the other arms' present commands cause."""
-        velocity = np.zeros(self.cell.model.nv)
+        """(P,) the part of each pair's rate that the other arms cause, as far as this arm may count on it.
+
+        A support arm counts on the less favourable of what another arm plans and what it was last
+        commanded: joint limits may keep an arm from doing at once what its operator asks.
+        """
+        now, before = np.zeros(self.cell.model.nv), np.zeros(self.cell.model.nv)
         for other in self._arms:
             if other is not arm:
-                velocity[other.dofs] = other.command_rad_s
-        return proximity.jacobian @ velocity
+                now[other.dofs] = other.command_rad_s
+                before[other.dofs] = (
+                    other.wanted_rad_s if not other.support else other.command_rad_s
+                )
+        if not arm.support:
+            return proximity.jacobian @ now
+        return np.minimum(proximity.jacobian @ now, proximity.jacobian @ before)
 
     def _mode_of_support(self, arm: _Arm, row: ArmRecord, proximity: Proximity) -> str:
         jobs = arm.jobs
@@ -825,6 +846,11 @@ def _backing_factor(own_m_s: NDArray[np.float64], needed_m_s: NDArray[np.float64
     highest = np.min(needed_m_s[closing] / own_m_s[closing], initial=0.0)
     lowest = np.max(needed_m_s[opening] / own_m_s[opening], initial=-1.0)
     return float(highest) if lowest <= highest else None
+
+
+def _preferring(push: NDArray[np.float64]) -> NullspaceObjective:
+    """A null space that wants nothing but this push, (n,)."""
+    return NullspaceObjective(np.zeros((len(push), len(push))), -push)
 
 
 def _or_none(value: float) -> float | None:

@@ -77,8 +77,18 @@ class Grasps:
         mujoco.mju_mulPose(position, wxyz, back_position, back_wxyz, pose[:3], pose[3:])
         self._held[instrument] = _Grasp(handles, position, wxyz)
 
+    def let_go(self, instrument: str) -> None:
+        """From now on nobody holds the instrument; it stays where it is."""
+        del self._held[instrument]
+
     def carry(self, data: mujoco.MjData) -> None:
-        """Put every held instrument where its tool is, at rest against it; needs current kinematics."""
+        """Put every held instrument where its tool is, at rest against it; needs current kinematics.
+
+        An instrument that nobody holds lies still.
+        """
+        for name, item in self._items.items():
+            if name not in self._held:
+                data.qvel[item.dof : item.dof + 6] = 0.0
         for name, grasp in self._held.items():
             item = self._items[name]
             tool_position, tool_wxyz = _tool_pose(data, grasp.arm)
@@ -159,7 +169,7 @@ def _tool_pose(
 
 
 def hand_bodies(model: mujoco.MjModel, arm: ArmHandles) -> frozenset[int]:
-    """The tool's body and the links right before it."""
+    """The tool's body and the links right before it, as body ids."""
     bodies, body = [], int(model.site_bodyid[arm.tool_site])
     moved = 0
     while body and moved < HAND_BODIES:

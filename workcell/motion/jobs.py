@@ -20,6 +20,7 @@ from workcell.motion.path import PathGeometry, Target, TimedPath, standing
 
 Vector = NDArray[np.float64]
 
+_DOWN = np.array([0.0, 0.0, -1.0])
 REPLAN_M = 0.01
 """A goal that has moved by more than this is approached on a new path; chosen as the default d_min."""
 REPLAN_S = 0.5
@@ -37,6 +38,8 @@ class Instrument:
     """(3,) in the world."""
     axis_m: Vector
     """(3,) half-length vector: the ends are centre ± axis."""
+    place_m: Vector
+    """(3,) centre where it was at the start."""
     holder: str | None
     """Arm that holds it; None where it lies."""
 
@@ -72,8 +75,8 @@ class HandOver:
     """An instrument changes hands this tick."""
 
     instrument: str
-    to: str
-    """Arm that holds it from now on."""
+    to: str | None
+    """Arm that holds it from now on; None if it is let go of."""
 
 
 @dataclass
@@ -243,7 +246,9 @@ class JobSequence:
     def _finish(self, job: scenario.Job) -> None:
         self.finished += 1
         meeting = _meeting(job)
-        if meeting is not None and meeting.instrument is not None:
+        if isinstance(job, scenario.Put):
+            self.hand_over = HandOver(job.instrument, None)
+        elif meeting is not None and meeting.instrument is not None:
             to = str(meeting.arm) if meeting.gives else self._arm
             self.hand_over = HandOver(meeting.instrument, to)
 
@@ -291,8 +296,7 @@ class JobSequence:
         if isinstance(job, scenario.Move):
             geometry = path_through(job.waypoints, position, wxyz)
         else:
-            goal, toward = self._goal(job, around)
-            turned = wxyz if toward is None else _turned_towards(wxyz, toward)
+            goal, turned, toward = self._goal(job, around)
             via = [] if toward is None else [goal - APPROACH_M * toward]
             geometry = PathGeometry(
                 np.array([position, *via, goal]), np.array([wxyz, *[turned] * (len(via) + 1)])
@@ -310,31 +314,38 @@ class JobSequence:
 
     def _goal(
         self,
-        job: scenario.Meet | scenario.Fetch | scenario.Exchange | scenario.Present,
+        job: scenario.Meet | scenario.Fetch | scenario.Exchange | scenario.Present | scenario.Put,
         around: Surroundings,
-    ) -> tuple[Vector, Vector | None]:
-        """Where this arm's tool point has to go, and the direction its tool should point in at the end (None: as it does)."""
-        here = self._target.position_m
+    ) -> tuple[Vector, Vector, Vector | None]:
+        """Where this arm's tool has to go, how it is turned there, and from where: the direction of the
+        straight last stretch, None where the way is straight anyhow."""
+        wxyz = self._target.wxyz
+        tool = around.tool_position_m[self._arm]
         held = next((i for i in around.instruments.values() if i.holder == self._arm), None)
-        tip = here if held is None else _end(held, here)
-        offset = tip - around.tool_position_m[self._arm] if held is not None else np.zeros(3)
+        offset = np.zeros(3) if held is None else _end(held, tool) - tool
         if isinstance(job, scenario.Fetch):
             item = around.instruments[job.instrument]
             # Its highest point: the upper end of one that stands, the middle of one that lies.
             top = item.centre_m + np.array([0.0, 0.0, abs(item.axis_m[2])])
-            return top, np.array([0.0, 0.0, -1.0])
+            return top, _turned(wxyz, _pointing(wxyz), _DOWN), _DOWN
+        if isinstance(job, scenario.Put):
+            item = around.instruments[job.instrument]
+            turned = _turned(wxyz, offset / max(float(np.linalg.norm(offset)), 1e-9), _DOWN)
+            # With the free end down, the centre is this far below the tool.
+            below = float(np.linalg.norm(item.centre_m - tool))
+            return item.place_m - below * _DOWN, turned, _DOWN
         if isinstance(job, scenario.Exchange) and job.direction == "take":
             # Gripped at the end that is free.
-            return _end(around.instruments[job.instrument], around.tool_position_m[job.arm]), None
+            end = _end(around.instruments[job.instrument], around.tool_position_m[job.arm])
+            return end, wxyz, None
         there = around.tool_position_m[job.arm]
         if isinstance(job, scenario.Present):
-            toward = -_entry_direction(
-                self._entry or job.entry, around.base_position_m[job.arm], there
-            )
+            entry = self._entry or job.entry
+            toward = -_entry_direction(entry, around.base_position_m[job.arm], there)
             # The instrument will point along the tool once the tool has turned.
-            reach = float(np.linalg.norm(offset))
-            return there - (job.distance_m + reach) * toward, toward
-        return there - offset, None
+            reach = job.distance_m + float(np.linalg.norm(offset))
+            return there - reach * toward, _turned(wxyz, _pointing(wxyz), toward), toward
+        return there - offset, wxyz, None
 
     def _has_moved(self, job: scenario.Job, around: Surroundings) -> bool:
         planned = self._legs[0].goal_m
@@ -375,19 +386,21 @@ def _entry_direction(entry: scenario.Entry, base_m: Vector, tool_m: Vector) -> V
     return left if entry == "left" else -left
 
 
-def _turned_towards(wxyz: Vector, direction: Vector) -> Vector:
-    """The orientation nearest to a given one whose z axis points along a unit vector."""
+def _pointing(wxyz: Vector) -> Vector:
+    """Direction of the tool's z axis in the world."""
+    return Rotation.from_quat(wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
+
+
+def _turned(wxyz: Vector, axis: Vector, direction: Vector) -> Vector:
+    """An orientation turned the shortest way so that a unit vector fixed to it points in a new direction."""
     rotation = Rotation.from_quat(wxyz, scalar_first=True)
-    axis = rotation.apply([0.0, 0.0, 1.0])
     cross, cosine = np.cross(axis, direction), float(axis @ direction)
     sine = float(np.linalg.norm(cross))
     if sine < 1e-9:
-        # Opposite directions have no shortest way; about the tool's x axis is as good as any.
-        turn = (
-            Rotation.identity()
-            if cosine > 0
-            else Rotation.from_rotvec(np.pi * rotation.apply([1.0, 0.0, 0.0]))
-        )
+        # Opposite directions have no shortest way; any axis across is as good as another.
+        across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
+        half_turn = Rotation.from_rotvec(np.pi * across / np.linalg.norm(across))
+        turn = Rotation.identity() if cosine > 0 else half_turn
     else:
         turn = Rotation.from_rotvec(cross / sine * np.arctan2(sine, cosine))
     return (turn * rotation).as_quat(scalar_first=True)

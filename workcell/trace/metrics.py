@@ -117,6 +117,8 @@ def support_arm(trace: Trace) -> str:
 def smallest_distance_m(trace: Trace, *, apart_only: bool = False) -> Floats:
     """Smallest pair distance of every tick, (T,); infinite where there are no pairs.
 
+    While an arm holds an instrument, the pairs of it with that arm's own hand do not count.
+
     Args:
         apart_only: Leave out the pairs that are meant to meet.
     """
@@ -124,11 +126,22 @@ def smallest_distance_m(trace: Trace, *, apart_only: bool = False) -> Floats:
     if apart_only:
         meeting = {frozenset(pair) for pair in trace.metadata.get("meeting_pairs", [])}
         keep = np.array([frozenset(pair) not in meeting for pair in trace.layout.pairs], dtype=bool)
-    return trace["pair_distance_m"][:, keep].min(axis=1, initial=np.inf)
+    distance = trace["pair_distance_m"]
+    hands = trace.metadata.get("hands", {})
+    if hands:
+        distance = distance.copy()
+        holders = trace["holders"].astype(str)
+        for held, pairs in hands.items():
+            ticks = np.char.find(np.char.add(np.char.add(" ", holders), " "), f" {held} ") >= 0
+            distance[np.ix_(np.flatnonzero(ticks), pairs)] = np.inf
+    return distance[:, keep].min(axis=1, initial=np.inf)
 
 
 def joint_columns(trace: Trace, arm: str) -> list[int]:
     """Places of an arm's joints in velocity vectors, by the joints' prefix `<arm>/`."""
+    dofs = trace.metadata.get("dofs", {}).get(arm)
+    if dofs is not None:
+        return [int(k) for k in dofs]
     layout = trace.layout
     if layout.nv != len(layout.joints):
         raise TraceError(
