@@ -16,9 +16,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.trace.compare import Comparison, Difference, Excerpt, condensed
+from workcell.trace.compare import TTC_SIGNALS, Comparison, Difference, Excerpt, condensed
 from workcell.trace.palette import COMMANDED, DANGER, unit_rgb
 
+TTC_CAP_IN_T_MIN = 5.0
+"""Times to collision are drawn up to this many t_min, as in the other pictures."""
 PANELS = 6
 """Quantities drawn; beyond it they would be too low to read."""
 SPARSE = 0.5
@@ -70,7 +72,12 @@ def series(
         mine = condensed(mine)[condensation]
     if mine.ndim > 1:
         mine, theirs = mine[:, entry or 0], theirs[:, entry or 0]
-    return mine.astype(float), theirs.astype(float)
+    mine, theirs = mine.astype(float), theirs.astype(float)
+    if name in TTC_SIGNALS:
+        # Beyond it nothing is about to happen, and the curves would be flat below.
+        cap_s = TTC_CAP_IN_T_MIN * reference.identity.settings["control"]["t_min_s"]
+        mine, theirs = np.minimum(mine, cap_s), np.minimum(theirs, cap_s)
+    return mine, theirs
 
 
 def _label(name: str, difference: Difference | None) -> str:
