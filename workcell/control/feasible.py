@@ -68,6 +68,8 @@ def _out_of_reach(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterato
 def _waypoint_lists(arm: scenario.Arm) -> Iterator[tuple[str, tuple[scenario.Waypoint, ...]]]:
     if isinstance(arm.operator, scenario.Waypoints):
         yield "operator.waypoints", arm.operator.waypoints
+    elif isinstance(arm.operator, scenario.Human):
+        yield "operator.sites", arm.operator.sites
     for index, job in enumerate(arm.job):
         if isinstance(job, scenario.Move):
             yield f"job.{index}.waypoints", job.waypoints
