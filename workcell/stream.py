@@ -1,8 +1,8 @@
 """A live run for a rerun viewer that may come and go.
 
 Nothing is sent unless somebody listens: a stream without a listener queues and, once the queue is
-full, blocks for ever. So the port is tried before connecting and again every second; where the
-viewer has gone, the stream is dropped, and made anew when it is back.
+full, blocks for ever. So a thread of its own tries the port before connecting and again every
+second; where the viewer has gone, the stream is dropped, and made anew when it is back.
 """
 
 from __future__ import annotations
@@ -41,20 +41,19 @@ class Stream:
         self._cell, self._port = cell, port
         self._surfaces = list(body_surfaces(cell.model, [arm.name for arm in cell.arms]))
         self._recording: rr.RecordingStream | None = None
-        self._next_probe_s = self._next_state_s = -math.inf
+        self._next_state_s = -math.inf
         self.sent = 0
         """States sent so far."""
+        self._closing = threading.Event()
+        self._tender = threading.Thread(target=self._tend, daemon=True)
+        self._tender.start()
 
     def show(self, record: TickRecord, data: mujoco.MjData) -> None:
         """Send a tick, if it is time for one and somebody listens."""
-        now = time.monotonic()
-        if now >= self._next_probe_s:
-            self._next_probe_s = now + PROBE_S
-            self._attend()
-        if self._recording is None or now < self._next_state_s:
+        now, recording = time.monotonic(), self._recording
+        if recording is None or now < self._next_state_s:
             return
         self._next_state_s = now + PERIOD_S
-        recording = self._recording
         recording.set_time("sim_time", duration=record.time_s)
         recording.set_time("tick", sequence=record.tick)
         for body, entity, _ in self._surfaces:
@@ -75,7 +74,14 @@ class Stream:
 
     def close(self) -> None:
         """End the stream."""
+        self._closing.set()
+        self._tender.join()
         self._drop()
+
+    def _tend(self) -> None:
+        self._attend()
+        while not self._closing.wait(PROBE_S):
+            self._attend()
 
     def _attend(self) -> None:
         """Connect where a viewer has come, drop the stream where it has gone."""
