@@ -108,7 +108,7 @@ def falsify(
         raise InputError("the scenario has no [vary] table: nothing to search")
     out.mkdir(parents=True, exist_ok=True)
     law = Law(target, limit)
-    with (out / JOURNAL_FILE).open("w", encoding="utf-8") as journal:
+    with (out / JOURNAL_FILE).open("w", encoding="utf-8", buffering=1) as journal:
         trials = _Trials(variations, law, executor, journal.write)
         worst = _search(trials, runs, seed, progress)
         values, outcome = worst
