@@ -140,7 +140,7 @@ def replay(
     from workcell.trace import view
 
     recording = rebuild_recording(run)
-    return view.open_viewer(recording, web=web)
+    return OK if view.open_viewer(recording, web=web).wait() == 0 else FAILED
 
 
 def plot(run: RunFolder, /) -> int:

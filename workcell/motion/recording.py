@@ -80,7 +80,7 @@ def read(path: Path | str) -> Samples:
         f"row {row + 1}, column {names[column]} = {values[row, column]}: is not finite"
         for row, column in np.argwhere(~np.isfinite(values))
     ]
-    finite = np.isfinite(values).all(axis=1)
+    finite = np.asarray(np.isfinite(values).all(axis=1))
     time_s, quaternion = values[:, 0], values[:, 4:8]
     faults += [
         f"row {row + 2}, column time_s = {time_s[row + 1]:.9g}: is not later than {time_s[row]:.9g} in the row before; times must rise"

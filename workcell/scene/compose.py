@@ -6,6 +6,9 @@ computes the witness points. What is simulated is what is written: the model is 
 exported scene.xml. The only file that knows dm_control.
 """
 
+# pyright: reportOptionalMemberAccess=false
+# The elements of an MJCF tree come into being at run time.
+
 from __future__ import annotations
 
 import warnings
