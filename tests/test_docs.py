@@ -20,7 +20,7 @@ OPERATORS = (
 )  # fmt: skip
 JOBS = (
     scenario.Move, scenario.Meet, scenario.Fetch, scenario.Present, scenario.Exchange,
-    scenario.Wait, scenario.Retreat,
+    scenario.Put, scenario.Wait, scenario.Retreat,
 )  # fmt: skip
 TABLES: dict[str, type[BaseModel]] = {
     **{f"Operator: {table.__name__.lower()}": table for table in OPERATORS},
