@@ -5,7 +5,7 @@
     closed loop   the scenario is run again; differences of plant and controller add up.
 
 Jobs and scripted operators are part of the controller and start again from the scenario. The final
-check, a process of its own, is represented by what it said.
+check, a process of its own, is represented by what it said, a live operator by what was wanted.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from workcell.control.controller import Controller
 from workcell.errors import ControlFault, TraceError
 from workcell.guard.halt import HaltLatch
 from workcell.guard.verdict import CheckState, Verdict
-from workcell.scenario import Scenario
+from workcell.motion.path import Target
+from workcell.motion.wish import Wish
+from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
-from workcell.trace.reference import States
+from workcell.trace.reference import States, Targets
 from workcell.trace.table import Trace, TraceWriter, load
 
 Progress = Callable[[int, int], None]
@@ -89,6 +91,27 @@ class RecordedCheck:
         """How an arm comes to rest was observed when it happened."""
 
 
+class RecordedOperator:
+    """A live operator of a recorded run: wants again what was wanted then.
+
+    Args:
+        targets: What was wanted at each tick.
+        period_s: Control period.
+    """
+
+    def __init__(self, targets: Targets, period_s: float):
+        self._targets = targets
+        self._period_s = period_s
+
+    def wish(self, time_s: float) -> Wish:
+        """The recorded wish of this tick."""
+        then, now = self._targets, round(time_s / self._period_s)
+        target = Target(
+            then.position_m[now], then.wxyz[now], then.velocity_m_s[now], then.turn_rad_s[now]
+        )
+        return Wish(target, str(then.job[now]), str(then.state[now]))
+
+
 def open_loop(cell: Cell, states: States, out: Path, *, progress: Progress | None = None) -> Replay:
     """Feed recorded states to a fresh controller.
 
@@ -99,10 +122,24 @@ def open_loop(cell: Cell, states: States, out: Path, *, progress: Progress | Non
         progress: Called with (ticks done, ticks in all) now and then.
     """
     controller = Controller(cell, check=RecordedCheck(states, cell.period_s))
+    for arm in cell.scenario.arm:
+        if isinstance(arm.operator, Live):
+            if arm.name not in states.targets:
+                raise TraceError(
+                    f"{arm.name}: its operator was live, and its targets were not kept"
+                )
+            controller.drive(arm.name, RecordedOperator(states.targets[arm.name], cell.period_s))
     fault = None
     with TraceWriter(out, runner.layout(cell), runner.metadata(cell), cell.period_s) as trace:
         try:
             for tick, (qpos, qvel) in enumerate(zip(states.qpos, states.qvel, strict=True)):
+                changed = {
+                    name: values[tick]
+                    for name, values in states.tuning.items()
+                    if values[tick] != getattr(controller.settings, name)
+                }
+                if changed:
+                    controller.tune(**changed)
                 trace.append(controller.step(qpos, qvel))
                 if progress and tick % 250 == 0:
                     progress(tick, len(states))

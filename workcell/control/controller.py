@@ -245,6 +245,10 @@ class Controller:
         """The operators by the name of their arm."""
         return {arm.handles.name: arm.operator for arm in self._arms if arm.operator is not None}
 
+    def drive(self, arm: str, operator: Operator) -> None:
+        """Put another operator in the place of an arm's own: a replay does so for one who was live."""
+        next(a for a in self._arms if a.handles.name == arm).operator = operator
+
     @property
     def settings(self) -> Control:
         """The parameters in force."""
@@ -476,7 +480,7 @@ class Controller:
             0.0 if arm.paused or (off_path > REJOIN_M and arm.factor > 0.0) else arm.factor,
             around,
         )
-        if arm.attempt == "back_off" and not arm.tried_entry:
+        if arm.attempt == "re_enter" and not arm.tried_entry:
             arm.tried_entry = jobs.try_another_entry(around)
         if jobs.hand_over is not None:
             if jobs.hand_over.to is None:
@@ -534,7 +538,7 @@ class Controller:
         )
         arm.attempt = row.attempt = rung.attempt
         arm.paused = rung.paused
-        arm.tried_entry = arm.tried_entry and rung.attempt == "back_off"
+        arm.tried_entry = arm.tried_entry and rung.attempt == "re_enter"
         row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
         if rung.yielding:
             self._yield(arm, row, proximity, other)

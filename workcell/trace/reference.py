@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,28 @@ FIRST_TICKS = 8
 has carried them into every other quantity."""
 KNOT_ATOL = {"qpos": 1e-7, "qvel": 1e-6, "check_distance_m": 1e-6}
 """What knots are rounded to. Reference outputs are those for the rounded states: nothing is lost."""
+TUNED = ("t_min_s", "criterion")
+"""Signals that are parameters of the controller, which a person may change during a run."""
 EVENTS = ("mode", "job", "ik_status", "check_state")
 """Signals whose changes are worth a row."""
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Where one arm's tool was meant to be, tick by tick."""
+
+    position_m: NDArray[np.float64]
+    """(T, 3) in the world."""
+    wxyz: NDArray[np.float64]
+    """(T, 4) orientation in the world."""
+    velocity_m_s: NDArray[np.float64]
+    """(T, 3) its velocity."""
+    turn_rad_s: NDArray[np.float64]
+    """(T, 3) its angular velocity."""
+    job: NDArray[np.object_]
+    """(T,) what its operator was doing."""
+    state: NDArray[np.object_]
+    """(T,) whether the operator's input was sound."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +81,10 @@ class States:
     """(T,) what the final check said."""
     check_distance_m: NDArray[np.float64]
     """(T,) its distance; NaN where it had none."""
+    tuning: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """(T,) of each parameter that may change during a run; empty where none did."""
+    targets: Mapping[str, Targets] = field(default_factory=dict)
+    """What each arm was after, for those whose operator cannot be asked again."""
 
     def __len__(self) -> int:
         return len(self.qpos)
@@ -68,7 +92,26 @@ class States:
 
 def states(trace: Trace) -> States:
     """What the controller of a run was fed at every tick."""
-    return States(trace["qpos"], trace["qvel"], trace["check_state"], trace["check_distance_m"])
+    known = trace.table.column_names
+    return States(
+        trace["qpos"],
+        trace["qvel"],
+        trace["check_state"],
+        trace["check_distance_m"],
+        {name: trace[name] for name in TUNED if name in known},
+        {
+            arm: Targets(
+                trace[f"{arm}.target_position_m"],
+                trace[f"{arm}.target_wxyz"],
+                trace[f"{arm}.target_velocity_m_s"],
+                trace[f"{arm}.target_turn_rad_s"],
+                trace[f"{arm}.job"],
+                trace[f"{arm}.operator_state"],
+            )
+            for arm in trace.layout.arms
+            if {f"{arm}.operator_state", f"{arm}.target_turn_rad_s"} <= set(known)
+        },
+    )
 
 
 def write_states(path: Path, trace: Trace) -> None:
