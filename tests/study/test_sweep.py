@@ -45,7 +45,7 @@ def rows(out: Path) -> list[dict[str, Any]]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
     """Two variations under two settings, made in this process; too short to be a success."""
     folder = tmp_path_factory.mktemp("made")
-    what = plan(scenario(folder), runs=2, seed=7, compare=("control.variant=relative,static",))
+    what = plan(scenario(folder), runs=2, seed=7, compare=("control.variant=static,relative",))
     assert sweep(what, folder / "out", Here(), ahead=2)
     return what, folder / "out"
 
@@ -58,7 +58,13 @@ def test_rows_are_the_same_on_any_number_of_workers(made: tuple[Plan, Path], tmp
     finally:
         workers.shutdown(cancel_futures=True)
     assert rows(tmp_path / "out") == rows(out)
-    assert len(rows(out)) == 4
+    # In the order of runs, and of settings as they were asked for: the first is what others are compared to.
+    assert [(row["run"], row["setting"].rpartition("=")[2]) for row in rows(out)] == [
+        (0, "static"),
+        (0, "relative"),
+        (1, "static"),
+        (1, "relative"),
+    ]
 
 
 def test_settings_share_their_variations_and_runs_do_not(made: tuple[Plan, Path]):

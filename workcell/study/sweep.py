@@ -196,9 +196,11 @@ def write_table(out: Path) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    lines = sorted(_journal(out), key=lambda line: (line["run"], line["setting"]))
+    asked = json.loads((out / PLAN_FILE).read_text(encoding="utf-8"))
+    order = {setting: place for place, setting in enumerate(asked["content_sha256"])}
+    lines = sorted(_journal(out), key=lambda line: (line["run"], order[line["setting"]]))
     columns: dict[str, Any] = {name: [line[name] for line in lines] for name in outcome.COLUMNS}
-    for key in json.loads((out / PLAN_FILE).read_text(encoding="utf-8"))["vary"]:
+    for key in asked["vary"]:
         values = [line["values"].get(key) for line in lines]
         # A choice may mix types, which a column cannot: those are kept as text.
         plain = len({type(v) for v in values}) == 1
