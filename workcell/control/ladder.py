@@ -6,7 +6,7 @@
               back up along the path, else move so that the near pairs open
               (entered at once, left YIELD_LINGER_S after the last such tick)
     impasse   scaled down to a standstill for IMPASSE_S without progress: attempts in turn to get
-              past (self-motion with the path stopped, free the tool's rotation, push the elbow to either side, back off), each for
+              past (self-motion with the path stopped, free the tool's rotation, push the elbow to either side, back off, come in from another side), each for
               ATTEMPT_S or until the path goes on
     hold      every attempt is used up: stand and wait; motion resumes when the way is free
     halt      d <= d_min, or the final check's verdict
@@ -31,7 +31,7 @@ PROGRESS_S = 0.3
 """Advance of the path's clock that ends an impasse."""
 PAUSED_SHARE = 0.5
 """First part of an attempt in which the path stands still, so that self-motion alone is not slowed by it."""
-ATTEMPTS = ("self_motion", "free_rotation", "elbow_left", "elbow_right", "back_off")
+ATTEMPTS = ("self_motion", "free_rotation", "elbow_left", "elbow_right", "back_off", "re_enter")
 
 
 @dataclass(frozen=True)
@@ -98,5 +98,9 @@ class Ladder:
                 self._attempt, self._attempt_s = self._attempt + 1, 0.0
         trying = 0 <= self._attempt < len(ATTEMPTS)
         attempt = ATTEMPTS[self._attempt] if trying else ""
-        paused = trying and attempt != "back_off" and self._attempt_s < PAUSED_SHARE * ATTEMPT_S
+        paused = (
+            trying
+            and attempt not in ("back_off", "re_enter")
+            and self._attempt_s < PAUSED_SHARE * ATTEMPT_S
+        )
         return Rung(yielding, attempt, paused, self._attempt >= 0)

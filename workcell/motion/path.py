@@ -20,6 +20,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 TURN_LENGTH_M_PER_RAD = 0.25
 """Turning counts as length, so that a turn on the spot takes time too; chosen: about a hand's distance from the wrist."""
+SLOWEST_SHARE = 0.25
+"""Share of a curve's mean rate that its parameter never falls below; chosen so that a reversal costs little time."""
 _STEP_M = 0.005
 """Spacing of the table a geometry is tabulated in; its cubic interpolation is then good to about 1e-8 m."""
 
@@ -75,6 +77,9 @@ class PathGeometry:
             np.linalg.norm(position(fine, 1), axis=1),
             TURN_LENGTH_M_PER_RAD * np.linalg.norm(orientation(fine, 1), axis=1),
         )
+        # Where the curve turns back on itself it hardly moves; counting it as moving a little keeps the
+        # parameter regular there, and the tool below the speed asked for rather than above.
+        rate = np.maximum(rate, SLOWEST_SHARE * rate.mean())
         length = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (rate[1:] + rate[:-1]) / 2)])
         self.length_m = float(length[-1])
         at = np.linspace(0.0, self.length_m, len(grid))

@@ -56,6 +56,7 @@ def summarise(trace: Trace) -> dict[str, Metric]:
         "duration_s": float(trace["time_s"][-1] - trace["time_s"][0]) + period_s(trace),
         "final_mode": str(trace["mode"][-1]),
         "completed": _completed(trace),
+        **_hand_overs(trace),
         **_distances(trace),
         **_times_to_collision(trace),
         **_modes(trace, ""),
@@ -313,6 +314,7 @@ def _arm(trace: Trace, arm: str) -> dict[str, Metric]:
         "max_tool_error_m": float(trace[f"{arm}.tool_error_m"].max()),
         "max_tool_error_rad": float(trace[f"{arm}.tool_error_rad"].max()),
         "elbow_travel_m": _elbow_travel_m(trace, arm),
+        "impasse_attempts": _attempts(trace, arm),
         "peak_joint_acceleration_rad_s2": _peak_derivative(command, dt_s, 1),
         "peak_joint_jerk_rad_s3": _peak_derivative(command, dt_s, 2),
         "speed_reversals": reversals(np.linalg.norm(command, axis=1)),
@@ -336,6 +338,26 @@ def _path_done_s(trace: Trace, arm: str) -> float | None:
         return float(trace["time_s"][0])
     last = int(moving[-1]) + 1
     return None if last == len(trace) - 1 else float(trace["time_s"][last])
+
+
+def _hand_overs(trace: Trace) -> dict[str, Metric]:
+    """How often instruments changed hands, and how many a minute reached an arm that a person drives."""
+    holders = trace["holders"].astype(str)
+    changed = np.flatnonzero(holders[1:] != holders[:-1]) + 1
+    if not changed.size and not (holders != "").any():
+        return {}
+    driven = {arm["name"] for arm in trace.metadata["settings"]["arm"] if arm.get("operator")}
+    delivered = sum(
+        now != before and now.partition("=")[2] in driven
+        for tick in changed
+        for before, now in zip(holders[tick - 1].split(), holders[tick].split(), strict=True)
+    )
+    minutes = len(trace) * period_s(trace) / 60
+    return {
+        "hand_overs": int(changed.size),
+        "deliveries": int(delivered),
+        "deliveries_per_minute": delivered / minutes if minutes > 0 else None,
+    }
 
 
 def _completed(trace: Trace) -> bool | None:
@@ -371,6 +393,13 @@ def _retreating(trace: Trace, arm: str) -> dict[str, Metric]:
     ticks = leaving & (trace[f"{arm}.job"] == RETREAT_JOB)
     scale = trace[f"{arm}.scale"][ticks]
     return {"retreat_smallest_scale": float(scale.min()) if scale.size else None}
+
+
+def _attempts(trace: Trace, arm: str) -> int:
+    """How often something was tried against an impasse."""
+    attempt = trace[f"{arm}.attempt"].astype(str)
+    begins = np.concatenate([attempt[:1] != "", attempt[1:] != attempt[:-1]])
+    return int(np.sum(begins & (attempt != "")))
 
 
 def _elbow_travel_m(trace: Trace, arm: str) -> float | None:
