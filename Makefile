@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SCENARIO ?= handover
+export OPENBLAS_NUM_THREADS ?= 1  # small matrices: threads only wait for each other
 
 .DEFAULT_GOAL := help
 .PHONY: help install run test test-long bless lint type imports check bench lock wheel clean

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
 TURN_LENGTH_M_PER_RAD = 0.25
@@ -79,11 +79,13 @@ class PathGeometry:
         )
         # Where the curve turns back on itself it hardly moves; counting it as moving a little keeps the
         # parameter regular there, and the tool below the speed asked for rather than above.
-        rate = np.maximum(rate, SLOWEST_SHARE * rate.mean())
+        # The sixteenth-power mean is a maximum without the kink.
+        floor = SLOWEST_SHARE * rate.mean()
+        rate = floor * ((rate / floor) ** 16 + 1.0) ** (1 / 16)
         length = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (rate[1:] + rate[:-1]) / 2)])
         self.length_m = float(length[-1])
         at = np.linspace(0.0, self.length_m, len(grid))
-        where = np.interp(at, length, fine)
+        where = PchipInterpolator(length, fine)(at)
         quats = _continuous(orientation(where).as_quat(scalar_first=True))
         curve = CubicSpline(
             at,
