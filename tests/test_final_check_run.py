@@ -11,6 +11,7 @@ import os
 import re
 import signal
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -44,6 +45,13 @@ def elbow_and_tip(base_m: float, home_rad: np.ndarray) -> np.ndarray:
     return np.array([base_m, 0.0]) + np.cumsum(steps, axis=0)
 
 
+def along(base_m: float, home_rad: np.ndarray) -> np.ndarray:
+    """(30, 2) points on the links."""
+    ends = np.vstack([[base_m, 0.0], elbow_and_tip(base_m, home_rad)])
+    share = np.linspace(0.1, 1.0, 10)[:, None]
+    return np.vstack([a + share * (b - a) for a, b in pairwise(ends)])
+
+
 def approach(rng: np.random.Generator) -> dict:
     """The nurse goes straight for a point inside the surgeon's arm, and nothing slows it down."""
     content = cells.duet(d_min_m=0.002)
@@ -56,7 +64,10 @@ def approach(rng: np.random.Generator) -> dict:
         # The tool keeps its orientation: its wrist must reach, with room to spare.
         direction = np.sum(nurse_rad)
         wrist = target - LINKS_M[2] * np.array([np.cos(direction), np.sin(direction)])
-        if 0.2 < np.linalg.norm(wrist - [-0.4, 0.0]) < 0.6:
+        reaches = 0.25 < np.linalg.norm(wrist - [-0.4, 0.0]) < 0.55
+        # The nurse must start beyond the distance at which the check halts, beams included.
+        gap = along(0.4, surgeon_rad)[:, None] - along(-0.4, nurse_rad)
+        if reaches and np.linalg.norm(gap, axis=-1).min() > CHECK_D_MIN_M + 0.06:
             break
     surgeon |= {"home_rad": surgeon_rad.tolist(), "base_position_m": [0.4, 0.0, 0.0]}
     nurse |= {"home_rad": nurse_rad.tolist(), "base_position_m": [-0.4, 0.0, 0.0]}
