@@ -2,7 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SCENARIO ?= handover
-export OPENBLAS_NUM_THREADS ?= 1  # small matrices: threads only wait for each other
+# Small matrices: threads would only wait for each other.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help install run test test-long bless lint type imports check bench lock wheel clean
