@@ -87,6 +87,8 @@ class Control(_Table):
     rise_time_s: Positive = 0.25
     reaction_s: NonNegative = 0.004
     catch_up_m_s: Positive = 0.15
+    slow_down: Literal["ttc", "distance"] = "ttc"
+    slow_distance_m: Positive = 0.15
     yields: bool = True
     resolves_impasse: bool = True
 

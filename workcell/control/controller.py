@@ -36,6 +36,7 @@ from workcell.control.scaling import (
     ScaleBound,
     acceleration_interval,
     pairwise_factor,
+    slow_near,
 )
 from workcell.control.second_order import second_order
 from workcell.control.servo import ServoCommand
@@ -606,6 +607,8 @@ class Controller:
             own, other = (
                 np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
             )
+        if settings.slow_down == "distance":
+            return slow_near(counted, settings.d_min_m, settings.slow_distance_m)
         bound = pairwise_factor(
             counted, own, other, settings.t_min_s, standoff_m=settings.standoff_m
         )

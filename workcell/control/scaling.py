@@ -126,6 +126,31 @@ def pairwise_factor(
     )
 
 
+def slow_near(distance_m: ArrayLike, stop_m: float, slow_m: float) -> ScaleBound:
+    """The plain rule to compare with: slow down with the smallest distance, whatever moves where.
+
+    The factor falls linearly from 1 at `slow_m` to 0 at `stop_m`. It takes no velocity into
+    account, so it brakes an arm that leaves as well as one that comes.
+
+    Args:
+        distance_m: Surface distances (P,), P may be 0.
+        stop_m: Distance at which the arm stands.
+        slow_m: Distance from which it slows down, above `stop_m`.
+
+    Raises:
+        WorkcellError: An input is not finite, or `slow_m` is not above `stop_m`.
+    """
+    if not stop_m < slow_m < np.inf:
+        raise WorkcellError(f"slow_m is {slow_m}; must be a finite number above stop_m = {stop_m}")
+    distance = finite("distance_m", distance_m)
+    if not distance.size:
+        return ScaleBound(1.0, -1, np.inf, 0.0, -1)
+    pair = int(np.argmin(distance))
+    required = float((distance[pair] - stop_m) / (slow_m - stop_m))
+    factor = min(1.0, max(0.0, required))
+    return ScaleBound(factor, pair if factor < 1.0 else -1, required, 0.0, -1)
+
+
 def equation16(distance_m: ArrayLike, rate_m_s: ArrayLike, t_min_s: float) -> float:
     """The paper's factor t*/t_min (equation 16), in [0, 1], for an arm among things that stand.
 
