@@ -131,8 +131,8 @@ class JointLimit(mink.Limit):
         self.previous_rad_s = np.zeros(len(arm.dofs))
         """(n,) last commanded velocity, from which the acceleration counts."""
         n = len(arm.dofs)
-        self._accel = np.concatenate([arm.acceleration_limit_rad_s2] * 2)
-        self._speed = np.concatenate([arm.velocity_limit_rad_s] * 2)
+        self._ends = np.stack([-arm.lower_rad, arm.upper_rad])
+        self._towards = np.array([[1.0], [-1.0]])
         self._rows = np.zeros((2 * n, nv))
         self._rows[np.arange(n), arm.dofs] = 1.0
         self._rows[np.arange(n, 2 * n), arm.dofs] = -1.0
@@ -141,11 +141,10 @@ class JointLimit(mink.Limit):
         self, q_rad: NDArray[np.float64], dt_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n,) smallest and largest joint velocity."""
-        arm, n = self.arm, len(q_rad)
-        distance = np.concatenate([q_rad - arm.lower_rad, arm.upper_rad - q_rad])
-        speed = _approach(distance, self._accel, self._speed, dt_s)
-        np.minimum(speed, self._speed, out=speed)
-        low, high = -speed[:n], speed[n:]
+        arm = self.arm
+        speed = _approach(self._towards * q_rad + self._ends, arm, dt_s)
+        np.minimum(speed, arm.velocity_limit_rad_s, out=speed)
+        low, high = -speed[0], speed[1]
         step = arm.acceleration_limit_rad_s2 * dt_s
         return np.minimum(np.maximum(low, self.previous_rad_s - step), high), np.maximum(
             np.minimum(high, self.previous_rad_s + step), low
@@ -483,15 +482,14 @@ class _Program:
 
 
 def _approach(
-    distance_rad: NDArray[np.float64],
-    accel_rad_s2: NDArray[np.float64],
-    limit_rad_s: NDArray[np.float64],
-    dt_s: float,
+    distance_rad: NDArray[np.float64], arm: ArmHandles, dt_s: float
 ) -> NDArray[np.float64]:
-    """(m,) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
-    half_step = accel_rad_s2 * (dt_s / 2)
-    with np.errstate(over="ignore"):
-        speed = np.sqrt(half_step**2 + 2 * accel_rad_s2 * np.maximum(distance_rad, 0.0)) - half_step
+    """(2, n) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
+    a = arm.acceleration_limit_rad_s2
+    half_step = a * (dt_s / 2)
+    speed = np.sqrt(half_step * half_step + 2.0 * a * np.maximum(distance_rad, 0.0)) - half_step
     if distance_rad.min() >= 0.0:
         return speed
-    return np.where(distance_rad < 0, np.maximum(distance_rad / dt_s, -limit_rad_s), speed)
+    return np.where(
+        distance_rad < 0, np.maximum(distance_rad / dt_s, -arm.velocity_limit_rad_s), speed
+    )

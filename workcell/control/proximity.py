@@ -73,6 +73,7 @@ class Proximity:
         return self.jacobian @ finite("qvel", qvel)
 
 
+_TINY = np.finfo(float).tiny  # keeps a quotient by the length of a zero vector zero
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
@@ -143,6 +144,7 @@ class PairGeometry:
         j_is_round = flat_i[self._one_round]
         self._round_ends = 2 * self._one_round + j_is_round
         self._towards_i = np.where(j_is_round, -1.0, 1.0)[:, None]
+        self._one_radius_m = self._radii_m[self._one_round]
         self._no_round = np.flatnonzero(flat_i & flat_j)
 
     def __len__(self) -> int:
@@ -274,15 +276,15 @@ class PairGeometry:
         depth is at least the radius there, and is said to be no less.
         """
         rows, ends = self._one_round, self._round_ends
-        to_axis = self._towards_i * (witness[ends] - surface[ends])
-        to_axis_m = _norm(to_axis)
-        radius = self._radii_m[rows]
+        to_axis = self._towards_i * (witness.take(ends, axis=0) - surface.take(ends, axis=0))
+        to_axis_m, radius = _norm(to_axis), self._one_radius_m
+        gap = surface.take(2 * rows, axis=0) - surface.take(2 * rows + 1, axis=0)
+        measured = np.vecdot(to_axis, gap) / np.maximum(to_axis_m, _TINY)
         depth_unknown = np.abs(to_axis_m - radius) > SURFACE_TOLERANCE_M
-        unit = to_axis / np.where(to_axis_m > 0.0, to_axis_m, 1.0)[:, None]
-        gap = surface[2 * rows] - surface[2 * rows + 1]
-        measured = np.vecdot(unit, gap)
-        distance[rows] = np.where(depth_unknown, np.minimum(measured, -radius), measured)
-        along[rows], length[rows], degenerate[rows] = to_axis, to_axis_m, depth_unknown
+        if depth_unknown.any():
+            measured = np.where(depth_unknown, np.minimum(measured, -radius), measured)
+            degenerate[rows] = depth_unknown
+        distance[rows], along[rows], length[rows] = measured, to_axis, to_axis_m
 
     def _set_no_round(
         self,
