@@ -45,7 +45,9 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
     root.option.timestep = scenario.simulation.period_s
     # implicitfast treats the servos' damping implicitly: stiff joint servos stay stable at the control period.
     root.option.integrator = "implicitfast"
-    root.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    root.visual.headlight.ambient = [0.28, 0.28, 0.28]
+    root.visual.headlight.diffuse = [0.18, 0.18, 0.18]
+    root.visual.headlight.specular = [0.0, 0.0, 0.0]
     root.visual.get_children("global").offwidth = 1600
     root.visual.get_children("global").offheight = 1200
     root.asset.add(
@@ -63,14 +65,19 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
         name="tiles",
         type="2d",
         builtin="checker",
-        rgb1=[0.80, 0.82, 0.84],
-        rgb2=[0.74, 0.76, 0.78],
+        rgb1=[0.62, 0.65, 0.68],
+        rgb2=[0.56, 0.59, 0.62],
         width=256,
         height=256,
     )
     root.asset.add("material", name="tiles", texture="tiles", texrepeat=[6, 6], reflectance=0.05)
     root.worldbody.add(
-        "light", name="lamp", pos=[0.5, -1.0, 3.0], dir=[-0.15, 0.3, -1.0], directional=True
+        "light",
+        name="lamp",
+        pos=[0.5, -1.0, 3.0],
+        dir=[-0.15, 0.3, -1.0],
+        directional=True,
+        diffuse=[0.5, 0.5, 0.5],
     )
     root.worldbody.add(
         "light",
@@ -79,7 +86,7 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
         dir=[0.4, -0.5, -1.0],
         directional=True,
         castshadow=False,
-        diffuse=[0.3, 0.3, 0.3],
+        diffuse=[0.15, 0.15, 0.15],
     )
     x, y, z = _FLOOR_HALF_EXTENTS_M
     root.worldbody.add(
