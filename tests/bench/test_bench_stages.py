@@ -42,7 +42,7 @@ STAGES = (
     ("log: a row", TraceWriter, "append"),
     ("plant", mujoco, "mj_step"),
 )
-RUN_S = 2.0
+RUN_S = 22.0
 """Long enough for all of the handover's jobs; the two orders together make 20 000 ticks."""
 
 
