@@ -544,17 +544,18 @@ class Controller:
         if rung.yielding:
             self._yield(arm, row, proximity, other)
             return
+        wanted = arm.wanted_rad_s
         if rung.attempt == "back_off":
-            arm.wanted_rad_s, own = -arm.wanted_rad_s, -own
-            bound = self._bound(arm, proximity, own, other[owned])
+            wanted = -wanted
+            bound = self._bound(arm, proximity, -own, other[owned])
         interval = acceleration_interval(
-            arm.command_rad_s, arm.wanted_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
+            arm.command_rad_s, wanted, arm.handles.acceleration_limit_rad_s2, self._dt
         )
         choice = arm.governor.choose(
             bound.factor, interval, leaving=bound.required >= LEAVING_FACTOR
         )
         factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
-        arm.command_rad_s = factor * arm.wanted_rad_s
+        arm.command_rad_s = factor * wanted
         arm.factor = -factor if rung.attempt == "back_off" else factor
         row.scale = arm.factor
         if bound.factor == 0.0 and not rung.attempt and self._path_is_free(arm, proximity, other):
