@@ -1,0 +1,125 @@
+"""The ladder alone, driven by numbers: when each rung is entered and when it is left."""
+
+from __future__ import annotations
+
+import pytest
+
+from workcell.control.ladder import (
+    ATTEMPT_S,
+    ATTEMPTS,
+    IMPASSE_S,
+    PAUSED_SHARE,
+    PROGRESS_S,
+    STANDSTILL_FACTOR,
+    YIELD_LINGER_S,
+    Ladder,
+    Rung,
+)
+
+DT = 1 / 64
+"""A power of two, so that times add up exactly."""
+ALL_ATTEMPTS_S = ATTEMPT_S * len(ATTEMPTS)
+
+
+def stand(
+    ladder: Ladder, seconds: float, *, factor=0.0, clock_s=1.0, moving=True, pressed=False
+) -> list[Rung]:
+    """A path whose clock stands still."""
+    return [
+        ladder.climb(pressed=pressed, factor=factor, clock_s=clock_s, moving=moving)
+        for _ in range(round(seconds / DT))
+    ]
+
+
+def test_an_arm_under_pressure_gives_way_at_once_and_lingers():
+    ladder = Ladder(period_s=DT)
+    (first,) = stand(ladder, DT, factor=1.0, pressed=True)
+    assert first.yielding
+    after = [rung.yielding for rung in stand(ladder, 1.0, factor=1.0)]
+    assert sum(after) * DT == pytest.approx(YIELD_LINGER_S, abs=DT)
+    assert after == sorted(after, reverse=True), "left once, not on and off"
+
+
+def test_pressure_that_comes_and_goes_is_one_giving_way():
+    """A hand that trembles at 8 Hz must not make the arm start and stop with it."""
+    ladder = Ladder(period_s=DT)
+    yielding = [
+        ladder.climb(pressed=k % 8 == 0, factor=1.0, clock_s=0.0, moving=True).yielding
+        for k in range(256)
+    ]
+    assert all(yielding)
+
+
+def test_an_arm_told_not_to_yield_does_not():
+    ladder = Ladder(period_s=DT, yields=False)
+    assert not any(rung.yielding for rung in stand(ladder, 1.0, pressed=True))
+
+
+def test_a_standstill_becomes_an_impasse_after_its_time_and_is_tried_in_order():
+    rungs = stand(Ladder(period_s=DT), IMPASSE_S + ALL_ATTEMPTS_S + 1.0)
+    found = next(k for k, rung in enumerate(rungs) if rung.impasse)
+    assert (found + 1) * DT == pytest.approx(IMPASSE_S)
+    assert all(rung.impasse for rung in rungs[found:])
+    per_attempt = round(ATTEMPT_S / DT)
+    tried = [rung.attempt for rung in rungs[found:]]
+    for k, attempt in enumerate(ATTEMPTS):
+        assert set(tried[k * per_attempt : (k + 1) * per_attempt]) == {attempt}
+    assert set(tried[len(ATTEMPTS) * per_attempt :]) == {""}, "then it stands and waits"
+
+
+def test_the_path_pauses_in_the_first_part_of_attempts_that_move_the_elbow_only():
+    rungs = stand(Ladder(period_s=DT), IMPASSE_S + ALL_ATTEMPTS_S)
+    for attempt in ATTEMPTS:
+        paused = [rung.paused for rung in rungs if rung.attempt == attempt]
+        share = 0.0 if attempt in ("back_off", "re_enter") else PAUSED_SHARE
+        assert sum(paused) / len(paused) == pytest.approx(share, abs=0.02)
+        assert paused == sorted(paused, reverse=True)
+
+
+def test_progress_ends_an_impasse_and_creeping_does_not():
+    ladder = Ladder(period_s=DT)
+    assert stand(ladder, IMPASSE_S)[-1].impasse
+    assert stand(ladder, 1.0, factor=1.0, clock_s=1.0 + 0.9 * PROGRESS_S)[-1].impasse
+    assert not stand(ladder, DT, factor=1.0, clock_s=1.0 + PROGRESS_S)[-1].impasse
+    assert not stand(ladder, IMPASSE_S - DT)[-1].impasse, "the time counts from anew"
+    assert stand(ladder, DT)[-1].impasse
+
+
+def test_backing_off_is_no_progress():
+    """The clock runs back and comes forward again to where it was: nothing is won yet."""
+    ladder = Ladder(period_s=DT)
+    stand(ladder, IMPASSE_S, clock_s=2.0)
+    stand(ladder, 1.0, clock_s=0.5)
+    assert stand(ladder, DT, clock_s=2.0)[-1].impasse
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        {"moving": False},
+        {"factor": STANDSTILL_FACTOR},
+        {"pressed": True},
+    ],
+    ids=["waiting", "slow but moving", "giving way"],
+)
+def test_what_is_no_impasse(state):
+    assert not any(rung.impasse for rung in stand(Ladder(period_s=DT), 2 * IMPASSE_S, **state))
+
+
+def test_one_free_tick_makes_the_time_to_an_impasse_count_from_anew():
+    ladder = Ladder(period_s=DT)
+    stand(ladder, IMPASSE_S - DT)
+    stand(ladder, DT, factor=1.0)
+    assert not stand(ladder, IMPASSE_S - DT)[-1].impasse
+
+
+def test_a_new_path_forgets_what_stood_in_the_way_of_the_old_one():
+    ladder = Ladder(period_s=DT)
+    stand(ladder, IMPASSE_S)
+    ladder.restart()
+    assert not stand(ladder, DT)[-1].impasse
+
+
+def test_impasses_are_not_resolved_where_that_is_switched_off():
+    rungs = stand(Ladder(period_s=DT, resolves=False), 2 * IMPASSE_S)
+    assert {(rung.attempt, rung.impasse) for rung in rungs} == {("", False)}
