@@ -181,6 +181,8 @@ class _Arm:
         """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
         self.owned_pairs = none
         """Pairs this arm answers for by slowing down."""
+        self.standing_pairs = np.array([], dtype=bool)
+        """For each of these, whether it is with the arm's own base, which only the other arm can come near."""
         self.target: Target = standing(position, wxyz)
         self.elbow_speed_m_s = 0.0
         """Speed at which the operator wants the elbow to swing to the left."""
@@ -532,7 +534,7 @@ class Controller:
         own = _rows(proximity, owned, arm) @ arm.wanted_rad_s
         bound = self._bound(arm, proximity, own, other[owned])
         rung = arm.ladder.climb(
-            pressed=bound.shortfall_m_s > PRESSED_M_S,
+            pressed=self._pressed(arm, bound, proximity, own, other[owned]),
             factor=bound.factor,
             clock_s=0.0 if arm.jobs is None else arm.jobs.clock_s,
             moving=arm.jobs is not None and arm.jobs.moving,
@@ -567,6 +569,25 @@ class Controller:
         if bound.shortfall_m_s > 0.0:
             row.reason = "other_arm"
         row.mode = self._mode_of_support(arm, row, proximity)
+        if row.mode == "scale" and rung.impasse and not rung.attempt:
+            row.mode = "hold"  # whatever was to be tried has been
+
+    def _pressed(
+        self,
+        arm: _Arm,
+        bound: ScaleBound,
+        proximity: Proximity,
+        own: NDArray[np.float64],
+        other: NDArray[np.float64],
+    ) -> bool:
+        """Whether standing is not enough for a pair that this arm can do something about.
+
+        Nothing it does opens a pair with its own base; to give way for that would only stop its work.
+        """
+        if bound.shortfall_m_s > PRESSED_M_S and arm.standing_pairs.any():
+            other = np.where(arm.standing_pairs, np.maximum(other, 0.0), other)
+            bound = self._bound(arm, proximity, own, other)
+        return bound.shortfall_m_s > PRESSED_M_S
 
     def _path_is_free(self, arm: _Arm, proximity: Proximity, other: NDArray[np.float64]) -> bool:
         """Whether no pair would limit the arm if it only moved as its target does."""
@@ -582,8 +603,10 @@ class Controller:
         is brought below t_min to open another, unless the joint limits leave no other way.
         """
         rows = _rows(proximity, arm.all_pairs, arm)
-        gap = proximity.distance_m[arm.all_pairs] - self._settings.d_min_m
-        needed = -gap / self._settings.t_min_s - other[arm.all_pairs]
+        movable = rows.any(axis=1)  # what its own base comes near to is not in its power
+        rows, pairs = rows[movable], arm.all_pairs[movable]
+        gap = proximity.distance_m[pairs] - self._settings.d_min_m
+        needed = -gap / self._settings.t_min_s - other[pairs]
         back = _backing_factor(rows @ arm.wanted_rad_s, needed)
         preferred = np.zeros(len(arm.dofs)) if back is None else back * arm.wanted_rad_s
         velocity = arm.ik.evade(self._belief, arm.command_rad_s, preferred, rows, needed)
@@ -809,13 +832,18 @@ class Controller:
         """Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
 
         Between two arms it is the support arm, of two support arms the one with the higher priority
-        number, of equals the later in the scenario. Done again whenever an instrument changes hands.
+        number, of equals the later in the scenario; near a base it is the arm that comes, if a
+        support arm does. Done again whenever an instrument changes hands.
         """
         rank = {
             arm.handles.name: (arm.support, arm.handles.priority, index)
             for index, arm in enumerate(self._arms)
         }
         parties = [self.grasps.parties(k) for k in range(len(self.cell.pairs))]
+        holders = [
+            [name for name in names if rank[name][0] and self.grasps.can_move(k, name)] or names
+            for k, names in enumerate(parties)
+        ]
         self._silent = np.array([not names for names in parties], dtype=bool)
         self._some_silent = bool(self._silent.any())
         for arm in self._arms:
@@ -827,8 +855,11 @@ class Controller:
                 [k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp
             )
             arm.owned_pairs = np.array(
-                [k for k in mine if arm.support and name == max(parties[k], key=rank.__getitem__)],
+                [k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)],
                 dtype=np.intp,
+            )
+            arm.standing_pairs = np.array(
+                [not self.grasps.can_move(int(k), name) for k in arm.owned_pairs], dtype=bool
             )
 
     def _finite(self, values: NDArray[np.float64], what: str) -> None:

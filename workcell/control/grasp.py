@@ -136,6 +136,17 @@ class Grasps:
                 return ()
         return tuple(dict.fromkeys(arm for arm, *_ in names))
 
+    def can_move(self, pair: int, arm: str) -> bool:
+        """Whether an arm's joints change a pair: its own base stands, whatever it does."""
+        model = self._cell.model
+        return any(
+            (self.holder(owner) if owner in self._items else owner) == arm
+            and model.body_weldid[model.geom_bodyid[geom]] != 0
+            for geom, owner in zip(
+                self._cell.pairs.geoms[pair], self._cell.pairs.owners[pair], strict=True
+            )
+        )
+
     def part_of_hand(self, geom: int, arm: str) -> bool:
         """Whether a geom is on the arm's tool or is the instrument it holds."""
         tool = self._cell.model.site_bodyid[self._arms[arm].tool_site]
