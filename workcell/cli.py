@@ -7,8 +7,6 @@ is allowed.
 
 from __future__ import annotations
 
-import workcell.threads  # isort: skip  # before anything loads NumPy  # noqa: F401
-
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence

@@ -129,6 +129,8 @@ def run(tmp_path_factory) -> Run:
                 "qvel": command,
                 "pair_distance_m": distance,
                 "pair_rate_m_s": scale * rate,
+                "t_min_s": T_MIN_S,
+                "criterion": "artc",
                 "closest_pair": int(np.argmin(distance)),
                 "ttc_s": ttc_s,
                 "ttc_pair": worst if moving else None,
@@ -139,6 +141,8 @@ def run(tmp_path_factory) -> Run:
                 "check_distance_m": float(distance.min()) + 0.01,
                 "check_state": "ok",
                 "command_rad_s": command,
+                "holders": "",
+                "closing_cause": "",
                 "mode": mode,
             }
             for arm in ARMS:
@@ -149,6 +153,8 @@ def run(tmp_path_factory) -> Run:
                 own = {
                     "target_position_m": tool,
                     "target_wxyz": np.array([1.0, 0, 0, 0]),
+                    "target_velocity_m_s": np.zeros(3),
+                    "target_turn_rad_s": np.zeros(3),
                     "job": "meet" if arm == "nurse" else "hold",
                     "operator_state": "valid" if arm == "surgeon" else "",
                     "path_s": min(tick, 1200) * PERIOD_S if arm == "nurse" else 0.0,
@@ -164,6 +170,7 @@ def run(tmp_path_factory) -> Run:
                     "scale": scale if arm == "nurse" else 1.0,
                     "limiting_pair": worst if scaled and not halted else None,
                     "reason": ("halt" if halted else "ttc") if scaled else "",
+                    "attempt": "",
                     "mode": mode if arm == "nurse" else "run",
                 }
                 row |= {f"{arm}.{name}": value for name, value in own.items()}
