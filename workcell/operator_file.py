@@ -98,13 +98,14 @@ def _caps(samples: Samples) -> dict[str, float]:
 
 def _changes(trace: Trace) -> list[dict[str, Any]]:
     """Every tick at which a parameter changed, with what it changed to."""
-    t_min_s, criterion = trace["t_min_s"], trace["criterion"]
+    t_min_s, criterion, entry = trace["t_min_s"], trace["criterion"], trace["entry"]
     return [
         {
             "time_s": float(trace["time_s"][k]),
             "t_min_s": float(t_min_s[k]),
             "criterion": str(criterion[k]),
+            "entry": str(entry[k]) or None,  # once asked for, a side is not taken back
         }
         for k in range(1, len(trace))
-        if t_min_s[k] != t_min_s[k - 1] or criterion[k] != criterion[k - 1]
+        if any(values[k] != values[k - 1] for values in (t_min_s, criterion, entry))
     ]

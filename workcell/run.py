@@ -272,6 +272,7 @@ def metadata(cell: Cell) -> dict[str, str]:
         "model_sha256": cell.digest,
         "meeting_pairs": json.dumps(meeting_pairs(cell)),
         "hands": json.dumps(hands(cell)),
+        "person_pairs": json.dumps(person_pairs(cell)),
         "dofs": json.dumps({arm.name: arm.dofs.tolist() for arm in cell.arms}),
     }
 
@@ -290,6 +291,16 @@ def origin(cell: Cell) -> dict[str, Any]:
 
 def _platform() -> str:
     return f"{platform.system()} {platform.machine()} Python {platform.python_version()}"
+
+
+def person_pairs(cell: Cell) -> list[int]:
+    """Pairs that only people answer for: arms they drive, with themselves, each other or what stands."""
+    driven = {arm.name for arm in cell.scenario.arm if arm.operator is not None}
+    return [
+        k
+        for k, owners in enumerate(cell.pairs.owners)
+        if all(owner is None or owner in driven for owner in owners)
+    ]
 
 
 def hands(cell: Cell) -> dict[str, list[int]]:

@@ -91,6 +91,7 @@ class Control(_Table):
     slow_distance_m: Positive = 0.15
     yields: bool = True
     resolves_impasse: bool = True
+    entry: Entry | Literal[""] = ""
 
 
 class Hold(_Table):
@@ -343,11 +344,12 @@ class Change(_Table):
     time_s: NonNegative
     t_min_s: Positive | None = None
     criterion: Criterion | None = None
+    entry: Entry | None = None
 
     @model_validator(mode="after")
     def _changes_something(self) -> Change:
         if not self.settings:
-            raise ValueError("a change needs t_min_s or criterion")
+            raise ValueError("a change needs t_min_s, criterion or entry")
         return self
 
     @property

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.motion.slew import turned
-from workcell.scenario import Criterion
+from workcell.scenario import Criterion, Entry
 
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 """In the order in which the key goes through them."""
@@ -51,6 +51,8 @@ TURNS: dict[int, tuple[float, float, float]] = {
     _KEYPAD[7]: (0, 0, -1),
 }
 """Key -> axis of the world."""
+ENTRIES: dict[int, Entry] = {_KEYPAD[1]: "left", _KEYPAD[3]: "right", _KEYPAD[5]: "above"}
+"""Key -> side from which what is on its way is to be presented."""
 _T_MIN_DOWN, _T_MIN_UP, _CRITERION, _QUIT = ord("6"), ord("7"), ord("8"), ord("9")
 
 
@@ -64,6 +66,8 @@ class Steering:
     """(3,) rotation vector in the world."""
     t_min_steps: int = 0
     criterion_steps: int = 0
+    entry: Entry | None = None
+    """The side asked for last; None if none was."""
     quit: bool = False
 
     def and_then(self, later: Steering) -> Steering:
@@ -73,6 +77,7 @@ class Steering:
             self.turn_rad + later.turn_rad,
             self.t_min_steps + later.t_min_steps,
             self.criterion_steps + later.criterion_steps,
+            later.entry or self.entry,
             self.quit or later.quit,
         )
 
@@ -110,6 +115,8 @@ class Keys:
                 steering.way_m += STEP_M * np.array(MOVES[key])
             elif key in TURNS:
                 steering.turn_rad += STEP_RAD * np.array(TURNS[key])
+            elif key in ENTRIES:
+                steering.entry = ENTRIES[key]
             elif key == _CRITERION:
                 steering.criterion_steps += 1
             elif key == _QUIT:

@@ -193,6 +193,8 @@ class _Session:
         if asked.criterion_steps:
             index = CRITERIA.index(controller.settings.criterion) + asked.criterion_steps
             settings["criterion"] = CRITERIA[index % len(CRITERIA)]
+        if asked.entry is not None:
+            settings["entry"] = asked.entry
         if settings:
             controller.tune(**settings)
             self._say(", ".join(f"{key} = {value}" for key, value in settings.items()))
@@ -213,6 +215,7 @@ def status_text(cell: Cell, controller: Controller, account: RealTime) -> tuple[
         or "-",
         "t_min (6 / 7)": f"{settings.t_min_s:.2f} s",
         "criterion (8)": settings.criterion,
+        "entry (keypad 1 3 5)": settings.entry or "as in the jobs",
         "missed ticks": f"{account.missed} of {account.ticks}",
     }
     for name, row in record.arms.items():

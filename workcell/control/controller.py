@@ -112,6 +112,7 @@ class TickRecord:
     pair_rate_m_s: NDArray[np.float64]
     t_min_s: float
     criterion: str
+    entry: str
     closest_pair: int | None
     ttc_s: float | None
     ttc_pair: int | None
@@ -120,6 +121,7 @@ class TickRecord:
     wanted_rad_s: NDArray[np.float64]
     command_rad_s: NDArray[np.float64]
     ttc_command_s: float | None = None
+    ttc_command_pair: int | None = None
     check_distance_m: float | None = None
     check_state: str = "off"
     closing_cause: str = ""
@@ -358,6 +360,7 @@ class Controller:
             pair_rate_m_s=rate,
             t_min_s=self._settings.t_min_s,
             criterion=self._settings.criterion,
+            entry=self._settings.entry,
             closest_pair=closest,
             ttc_s=_or_none(first.ttc_s),
             ttc_pair=None if first.pair < 0 else first.pair,
@@ -483,6 +486,8 @@ class Controller:
             0.0 if arm.paused or (off_path > REJOIN_M and arm.factor > 0.0) else arm.factor,
             around,
         )
+        if self._settings.entry:
+            jobs.prefer(self._settings.entry, around)
         if arm.attempt == "re_enter" and not arm.tried_entry:
             arm.tried_entry = jobs.try_another_entry(around)
         if jobs.hand_over is not None:
@@ -679,6 +684,7 @@ class Controller:
             kappa[self._silent] = 0.0
         first = ttc.smallest(kappa)
         record.ttc_command_s = _or_none(first.ttc_s)
+        record.ttc_command_pair = None if first.pair < 0 else first.pair
         if first.pair >= 0:
             share = {
                 arm.handles.name: float(

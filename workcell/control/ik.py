@@ -357,7 +357,8 @@ class ArmIk:
         if velocity is None:
             weighted = TASK_COST**2 * self._tool_rows.T
             H, c = self._eye + weighted @ self._tool_rows, -weighted @ self._tool_rates
-            velocity, status = self._program(H, c, *self._no_rows, hard_tool=False), TASK_SOFT
+            velocity = self._program(H, c, rows, smallest_rate_m_s, hard_tool=False, soft_rows=True)
+            status = TASK_SOFT
         if velocity is None:
             velocity, status = np.zeros_like(previous_rad_s), STOPPED
         # The solver keeps inequalities to a tolerance; the joint limits are meant exactly.
@@ -386,26 +387,16 @@ class ArmIk:
             (n,) joint velocity; None if the solver failed.
         """
         self.limit.previous_rad_s = previous_rad_s
-        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
-        for values in (preferred_rad_s, rows, smallest_rate_m_s, low, high):
-            if np.isnan(values).any():
+        self._low, self._high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
+        for values in (preferred_rad_s, rows, smallest_rate_m_s, self._low, self._high):
+            if not all_finite(values):
                 raise FloatingPointError(
                     f"arm {self.arm.name}: the evasive motion was given a number that is not finite"
                 )
-        n, count = len(low), len(smallest_rate_m_s)
-        sense = np.concatenate([np.zeros(n, dtype=np.intc), np.full(count, _SOFT, dtype=np.intc)])
-        velocity, _, flag, _ = daqp.solve(
-            self._eye,
-            -preferred_rad_s,
-            rows,
-            np.concatenate([np.minimum(high, _UNBOUNDED), np.full(count, _UNBOUNDED)]),
-            np.concatenate([np.maximum(low, -_UNBOUNDED), smallest_rate_m_s]),
-            sense,
-            primal_tol=SOLVER_TOLERANCE_RAD_S,
+        velocity = self._program(
+            self._eye, -preferred_rad_s, rows, smallest_rate_m_s, hard_tool=False, soft_rows=True
         )
-        if flag not in (_SOLVED, _SOLVED_SOFT) or not np.isfinite(velocity).all():
-            return None
-        return np.clip(velocity, low, high)
+        return None if velocity is None else np.clip(velocity, self._low, self._high)
 
     def _program(
         self,
@@ -415,8 +406,10 @@ class ArmIk:
         lower: NDArray[np.float64],
         *,
         hard_tool: bool,
+        soft_rows: bool = False,
     ) -> NDArray[np.float64] | None:
-        """Minimise ½ q̇ᵀHq̇ + cᵀq̇ within the joint box and rows q̇ >= lower; None where there is no acceptable solution."""
+        """Minimise ½ q̇ᵀHq̇ + cᵀq̇ within the joint box and rows q̇ >= lower, missed as little as
+        possible where they are soft; None where there is no acceptable solution."""
         tool = len(self._tool_rates) if hard_tool else 0
         n, pairs = len(c), len(lower)
         program = self._program_space.of(pairs + tool)
@@ -425,6 +418,8 @@ class ArmIk:
         np.minimum(self._high, _UNBOUNDED, out=program.upper[:n])
         program.rows[:pairs], program.lower[n : n + pairs] = rows, lower
         program.upper[n : n + pairs] = _UNBOUNDED
+        if soft_rows:
+            program.sense[n : n + pairs] = _SOFT
         if hard_tool:
             program.rows[pairs:] = self._tool_rows
             program.lower[n + pairs :] = program.upper[n + pairs :] = self._tool_rates
@@ -438,7 +433,7 @@ class ArmIk:
             program.sense,
             primal_tol=SOLVER_TOLERANCE_RAD_S,
         )
-        if flag != _SOLVED or not all_finite(velocity):
+        if flag not in (_SOLVED, _SOLVED_SOFT) or not all_finite(velocity):
             return None
         return velocity
 

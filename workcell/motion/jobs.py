@@ -23,6 +23,8 @@ Vector = NDArray[np.float64]
 _DOWN = np.array([0.0, 0.0, -1.0])
 REPLAN_M = 0.01
 """A goal that has moved by more than this is approached on a new path; chosen as the default d_min."""
+REPLAN_PRESENT_M = 0.08
+"""The same for a presentation, which need not follow every move of a hand; chosen as a hand's breadth."""
 REPLAN_S = 0.5
 """A path is followed at least this long before it is planned anew, so that an arm whose goal keeps moving gets under way."""
 APPROACH_M = 0.12
@@ -117,6 +119,7 @@ class JobSequence:
         self._legs: list[_Leg] = []
         self._met = False
         self._entry: scenario.Entry | None = None
+        self._preferred: scenario.Entry | None = None
         self._since_plan_s = 0.0
         self.clock_s = 0.0
         self.finished = 0
@@ -183,9 +186,16 @@ class JobSequence:
         job = self._current
         if not isinstance(job, scenario.Present):
             return False
-        self._entry = entry
-        self._plan(job, around)
+        if entry != (self._entry or job.entry):
+            self._entry = entry
+            self._plan(job, around)
         return True
+
+    def prefer(self, entry: scenario.Entry, around: Surroundings) -> None:
+        """From now on every presentation comes from this side, the one on its way included."""
+        if entry != self._preferred:
+            self._preferred = entry
+            self.enter_from(entry, around)
 
     def try_another_entry(self, around: Surroundings) -> bool:
         """Present from the next side in the order of `ENTRIES`; False if nothing is being presented."""
@@ -260,7 +270,8 @@ class JobSequence:
 
     def _next(self, around: Surroundings) -> None:
         self._index += 1
-        self.clock_s, self._met, self._legs, self.switched, self._entry = 0.0, False, [], True, None
+        self.clock_s, self._met, self._legs, self.switched = 0.0, False, [], True
+        self._entry = self._preferred
         job = self._current
         if job is None or isinstance(job, scenario.Wait):
             self._target = standing(self._target.position_m, self._target.wxyz)
@@ -355,7 +366,8 @@ class JobSequence:
             or isinstance(job, (scenario.Move, scenario.Wait, scenario.Retreat))
         ):
             return False
-        return float(np.linalg.norm(self._goal(job, around)[0] - planned)) > REPLAN_M
+        limit = REPLAN_PRESENT_M if isinstance(job, scenario.Present) else REPLAN_M
+        return float(np.linalg.norm(self._goal(job, around)[0] - planned)) > limit
 
 
 def _meeting(job: scenario.Job | None) -> Meeting | None:

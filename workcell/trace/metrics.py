@@ -253,8 +253,10 @@ def _times_to_collision(trace: Trace) -> dict[str, Metric]:
         result["smallest_ttc_command_s"] = float(commanded[tick])
         result["smallest_ttc_command_time_s"] = float(trace["time_s"][tick])
         result["smallest_ttc_command_reason"] = ", ".join(sorted(reasons))
-    # Where the other arm comes nearer by itself, no factor of this one could hold t_min.
+    # Where the other arm comes nearer by itself, no factor of this one could hold t_min; and a pair
+    # of an arm that a person drives, with itself or with what stands, is the person's.
     own = ~np.isnan(commanded)
+    own &= ~np.isin(trace["ttc_command_pair"], trace.metadata.get("person_pairs", []))
     for arm in trace.layout.arms:
         own &= trace[f"{arm}.reason"] != OTHER_ARM_REASON
     if own.any():

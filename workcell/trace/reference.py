@@ -45,7 +45,7 @@ FIRST_TICKS = 8
 has carried them into every other quantity."""
 KNOT_ATOL = {"qpos": 1e-7, "qvel": 1e-6, "check_distance_m": 1e-6}
 """What knots are rounded to. Reference outputs are those for the rounded states: nothing is lost."""
-TUNED = ("t_min_s", "criterion")
+TUNED = ("t_min_s", "criterion", "entry")
 """Signals that are parameters of the controller, which a person may change during a run."""
 EVENTS = ("mode", "job", "ik_status", "check_state")
 """Signals whose changes are worth a row."""

@@ -522,6 +522,12 @@ def _log_modes(recording: rr.RecordingStream, trace: Trace) -> None:
         for row in rows.tolist():
             level = "WARN" if mode[row] in ("halt", "stop") else "INFO"
             events.append((row, f"{lane}: {mode[row]}", level))
+    entry = trace["entry"]
+    events += [
+        (row, f"presentations are asked to come from: {entry[row]}", "INFO")
+        for row in _changes(entry).tolist()
+        if entry[row]
+    ]
     for arm in trace.layout.arms:
         reason = trace[f"{arm}.reason"]
         limiting = trace[f"{arm}.limiting_pair"]
