@@ -384,3 +384,18 @@ def test_the_rotation_is_free_only_where_the_job_says_so():
     assert cell.jobs.free_rotation
     cell.until(lambda: cell.jobs.name == "wait")
     assert not cell.jobs.free_rotation
+
+
+def test_a_side_once_asked_for_holds_for_the_presentation_on_its_way_and_all_after():
+    cell = Cell(present("left"), scenario.Retreat(kind="retreat"), present("above"))
+    cell.tick()
+    cell.jobs.prefer("right", cell.around())
+    assert cell.jobs.switched
+    cell.tick()
+    cell.jobs.prefer("right", cell.around())
+    assert not cell.jobs.switched, "asked for again, nothing changes"
+    for presented in (1, 3):
+        cell.until(lambda presented=presented: cell.jobs.finished == presented)
+        np.testing.assert_allclose(
+            cell.log[-1][1], OTHER + 0.1 * np.array(SIDES["right"]), atol=1e-3
+        )
