@@ -103,7 +103,7 @@ def test_a_run_without_settings_pairs_or_contact(run, tmp_path):
         "ttc_s": None, "ttc_pair": None, "witness_i_m": None, "witness_j_m": None,
         "wanted_rad_s": np.zeros(1), "ttc_command_s": None, "check_distance_m": None,
         "check_state": "off", "command_rad_s": np.zeros(1), "mode": "run",
-        "t_min_s": 1.0, "criterion": "none", "ttc_command_pair": None, "holders": "",
+        "t_min_s": 1.0, "criterion": "none", "entry": "", "ttc_command_pair": None, "holders": "",
         "closing_cause": "",
     }  # fmt: skip
     with TraceWriter(tmp_path, layout, {}, 0.002) as writer:
