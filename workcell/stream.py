@@ -16,7 +16,7 @@ import uuid
 import mujoco
 import rerun as rr
 
-from workcell.control.controller import TickRecord
+from workcell.control.record import TickRecord
 from workcell.scene.cell import Cell
 from workcell.trace.view import body_surfaces
 

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from tests import cells
-from workcell.control.controller import Controller, TickRecord
+from workcell.control.controller import Controller
+from workcell.control.record import TickRecord
 from workcell.errors import ControlFault
 from workcell.run import Measurement, installed
 from workcell.scene import cell as scene

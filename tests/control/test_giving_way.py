@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from tests import cells
-from workcell.control.controller import Controller, TickRecord
+from workcell.control.controller import Controller
+from workcell.control.record import TickRecord
 from workcell.scene import cell as scene
 
 D_MIN_M, SPEED_M_S, T_MIN_S = 0.01, 0.25, 1.0

@@ -16,7 +16,7 @@ operator has priority: it is not, and its tool never gives way to the null space
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import mink
@@ -25,31 +25,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control import criteria, ttc
+from workcell.control.arm import ControlledArm
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
-from workcell.control.ik import ArmIk, IkSolution
-from workcell.control.ladder import Ladder
+from workcell.control.ik import IkSolution
 from workcell.control.proximity import PairGeometry, Proximity
+from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.scaling import (
-    FactorGovernor,
     ScaleBound,
     acceleration_interval,
     pairwise_factor,
     slow_near,
 )
 from workcell.control.second_order import second_order
-from workcell.control.servo import ServoCommand
 from workcell.errors import ControlFault
 from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
 from workcell.motion.jobs import Instrument, JobSequence, Meeting, Surroundings
-from workcell.motion.operator import make_operator
-from workcell.motion.path import Target, standing
+from workcell.motion.path import standing
 from workcell.motion.wish import Operator
 from workcell.scenario import Control
 from workcell.scene.cell import Cell
-from workcell.scene.handles import ArmHandles
 
 SELF_MOTION_RAD_S = 0.01
 """Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
@@ -71,143 +68,6 @@ FIXED_ELBOW_M2 = 1e-6
 """Square of the lever (1 mm) below which no self-motion moves the elbow sideways."""
 MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
-
-
-@dataclass
-class ArmRecord:
-    """One arm's part of a tick's record; fields are the arm signals of `workcell.signals`."""
-
-    target_position_m: NDArray[np.float64]
-    target_wxyz: NDArray[np.float64]
-    target_velocity_m_s: NDArray[np.float64]
-    target_turn_rad_s: NDArray[np.float64]
-    job: str
-    path_s: float
-    tool_position_m: NDArray[np.float64]
-    tool_wxyz: NDArray[np.float64]
-    tool_speed_m_s: float
-    tool_error_m: float
-    tool_error_rad: float
-    elbow_position_m: NDArray[np.float64] | None
-    artc_per_s: float
-    armd_per_m: float
-    operator_state: str = ""
-    ik_status: str = ""
-    scale: float = 1.0
-    limiting_pair: int | None = None
-    reason: str = ""
-    attempt: str = ""
-    mode: str = "run"
-
-
-@dataclass
-class TickRecord:
-    """Everything a tick saw, wanted and did; fields are the cell signals of `workcell.signals`."""
-
-    tick: int
-    time_s: float
-    qpos: NDArray[np.float64]
-    qvel: NDArray[np.float64]
-    pair_distance_m: NDArray[np.float64]
-    pair_rate_m_s: NDArray[np.float64]
-    t_min_s: float
-    criterion: str
-    entry: str
-    closest_pair: int | None
-    ttc_s: float | None
-    ttc_pair: int | None
-    witness_i_m: NDArray[np.float64] | None
-    witness_j_m: NDArray[np.float64] | None
-    wanted_rad_s: NDArray[np.float64]
-    command_rad_s: NDArray[np.float64]
-    ttc_command_s: float | None = None
-    ttc_command_pair: int | None = None
-    check_distance_m: float | None = None
-    check_state: str = "off"
-    closing_cause: str = ""
-    holders: str = ""
-    mode: str = "run"
-    arms: dict[str, ArmRecord] = field(default_factory=dict)
-
-
-class _Arm:
-    """What the controller keeps for one arm: its part of the pairs, its solver, its driver."""
-
-    def __init__(self, cell: Cell, handles: ArmHandles, configuration: mink.Configuration):
-        control, dt, nv = cell.scenario.control, cell.period_s, cell.model.nv
-        settings = next(arm for arm in cell.scenario.arm if arm.name == handles.name)
-        self.handles = handles
-        self.dofs = handles.dofs
-        self.support = bool(settings.job)
-        self.ik = ArmIk(
-            handles,
-            nv=nv,
-            dt_s=dt,
-            task_gain_per_s=control.task_gain_per_s,
-            criterion_gain=control.criterion_gain,
-        )
-        self.servo = ServoCommand(handles, dt_s=dt)
-        self.ladder = Ladder(period_s=dt, yields=control.yields, resolves=control.resolves_impasse)
-        self.attempt = ""
-        self.governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=dt)
-        pose = configuration.get_transform_frame_to_world(handles.tool_site_name, "site")
-        position, wxyz = pose.translation(), pose.rotation().wxyz
-        self.jobs = (
-            JobSequence(
-                settings.job,
-                arm=handles.name,
-                position_m=position,
-                wxyz=wxyz,
-                d_min_m=control.d_min_m,
-                repeat=settings.job_repeat,
-            )
-            if self.support
-            else None
-        )
-        self.operator = (
-            None
-            if settings.operator is None
-            else make_operator(
-                settings.operator,
-                position,
-                wxyz,
-                seed=cell.scenario.simulation.seed,
-                name=handles.name,
-                period_s=dt,
-            )
-        )
-        none = np.array([], dtype=np.intp)
-        self.all_pairs = none
-        """Pairs this arm's motion changes."""
-        self.criterion_pairs = none
-        """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
-        self.owned_pairs = none
-        """Pairs this arm answers for by slowing down."""
-        self.standing_pairs = np.array([], dtype=bool)
-        """For each of these, whether it is with the arm's own base, which only the other arm can come near."""
-        self.target: Target = standing(position, wxyz)
-        self.elbow_speed_m_s = 0.0
-        """Speed at which the operator wants the elbow to swing to the left."""
-        self.command_rad_s = np.zeros(len(handles.dofs))
-        self.wanted_rad_s = np.zeros(len(handles.dofs))
-        self.task_rad_s = np.zeros(len(handles.dofs))
-        self.factor = 1.0
-        self.paused = False
-        """Whether the path stands still while self-motion is tried against an impasse."""
-        self.meeting_key: object = None
-        self.meeting_pairs = none
-        self.tried_entry = False
-        """Whether another entry has been tried in the present attempt."""
-        base = cell.model.body_rootid[cell.model.site_bodyid[handles.tool_site]]
-        self.base_position_m = configuration.data.xpos[base].copy()
-
-    @property
-    def window(self) -> str | None:
-        """Name of the final check's exemption that the present job holds open."""
-        meeting = None if self.jobs is None else self.jobs.meeting
-        if meeting is None:
-            return None
-        return f"{self.handles.name}_{meeting.arm or meeting.instrument}"
 
 
 class Controller:
@@ -232,7 +92,7 @@ class Controller:
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
         )
         self.grasps = Grasps(cell, self._belief.data)
-        self._arms = [_Arm(cell, handles, self._belief) for handles in cell.arms]
+        self._arms = [ControlledArm(cell, handles, self._belief) for handles in cell.arms]
         self._priority = [arm for arm in self._arms if not arm.support]
         self._support = sorted(
             (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
@@ -373,7 +233,7 @@ class Controller:
             record.arms[arm.handles.name] = self._look_at(arm, record)
         return record, proximity
 
-    def _look_at(self, arm: _Arm, record: TickRecord) -> ArmRecord:
+    def _look_at(self, arm: ControlledArm, record: TickRecord) -> ArmRecord:
         data, handles = self._belief.data, arm.handles
         wxyz, twist = np.empty(4), np.empty(6)
         mujoco.mj_objectVelocity(
@@ -420,13 +280,13 @@ class Controller:
                         record.tick, arm.handles.name, row.tool_speed_m_s, record.qvel[arm.dofs]
                     )
 
-    def _stops(self, arm: _Arm) -> bool:
+    def _stops(self, arm: ControlledArm) -> bool:
         """Whether the final check has stopped this arm."""
         if self._check is None or not self._check.halted:
             return False
         return arm.support or self.cell.scenario.check.stops_priority_arms
 
-    def _brake(self, arm: _Arm, row: ArmRecord) -> None:
+    def _brake(self, arm: ControlledArm, row: ArmRecord) -> None:
         """The way to rest after the final check's halt: along the last motion, as hard as the joints can."""
         arm.factor = 0.0
         arm.wanted_rad_s = arm.command_rad_s = brake(
@@ -476,7 +336,7 @@ class Controller:
         record.holders = self.grasps.summary()
 
     def _advance(
-        self, arm: _Arm, jobs: JobSequence, record: TickRecord, proximity: Proximity
+        self, arm: ControlledArm, jobs: JobSequence, record: TickRecord, proximity: Proximity
     ) -> None:
         """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
         around = self._around(arm, record, proximity)
@@ -497,7 +357,7 @@ class Controller:
                 self.grasps.take(jobs.hand_over.instrument, jobs.hand_over.to, self._belief.data)
             self._share_pairs()
 
-    def _around(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> Surroundings:
+    def _around(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> Surroundings:
         data = self._belief.data
         instruments = {}
         for item in self.cell.instruments:
@@ -521,7 +381,7 @@ class Controller:
             arm.wanted_rad_s = arm.command_rad_s
             arm.command_rad_s = arm.task_rad_s
 
-    def _steer(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
+    def _steer(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
         row = record.arms[arm.handles.name]
         if self._stops(arm):
@@ -579,7 +439,7 @@ class Controller:
 
     def _pressed(
         self,
-        arm: _Arm,
+        arm: ControlledArm,
         bound: ScaleBound,
         proximity: Proximity,
         own: NDArray[np.float64],
@@ -594,13 +454,15 @@ class Controller:
             bound = self._bound(arm, proximity, own, other)
         return bound.shortfall_m_s > PRESSED_M_S
 
-    def _path_is_free(self, arm: _Arm, proximity: Proximity, other: NDArray[np.float64]) -> bool:
+    def _path_is_free(
+        self, arm: ControlledArm, proximity: Proximity, other: NDArray[np.float64]
+    ) -> bool:
         """Whether no pair would limit the arm if it only moved as its target does."""
         own = _rows(proximity, arm.owned_pairs, arm) @ arm.ik.path_rad_s
         return self._bound(arm, proximity, own, other[arm.owned_pairs]).factor == 1.0
 
     def _yield(
-        self, arm: _Arm, row: ArmRecord, proximity: Proximity, other: NDArray[np.float64]
+        self, arm: ControlledArm, row: ArmRecord, proximity: Proximity, other: NDArray[np.float64]
     ) -> None:
         """Give way: back along the path if that is enough, else so that the near pairs open.
 
@@ -624,7 +486,11 @@ class Controller:
         row.reason, row.mode = "other_arm", "yield"
 
     def _bound(
-        self, arm: _Arm, proximity: Proximity, own: NDArray[np.float64], other: NDArray[np.float64]
+        self,
+        arm: ControlledArm,
+        proximity: Proximity,
+        own: NDArray[np.float64],
+        other: NDArray[np.float64],
     ) -> ScaleBound:
         """The pairwise rule; pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
         settings = self._settings
@@ -660,7 +526,7 @@ class Controller:
             return bound
         return replace(bound, factor=factor, pair=first.pair, required=factor)
 
-    def _give_way(self, arm: _Arm, record: TickRecord, proximity: Proximity) -> None:
+    def _give_way(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> None:
         """A priority arm: what its operator asks, plus self-motion that endangers nothing."""
         row = record.arms[arm.handles.name]
         if self._stops(arm):
@@ -698,7 +564,11 @@ class Controller:
     # ---------------------------------------------------------------- parts of the stages
 
     def _solve(
-        self, arm: _Arm, record: TickRecord, proximity: Proximity, other: NDArray[np.float64]
+        self,
+        arm: ControlledArm,
+        record: TickRecord,
+        proximity: Proximity,
+        other: NDArray[np.float64],
     ) -> IkSolution:
         """Inverse kinematics with the arm's criterion and the inequality on its self-motion.
 
@@ -724,7 +594,7 @@ class Controller:
 
     def _criterion(
         self,
-        arm: _Arm,
+        arm: ControlledArm,
         record: TickRecord,
         proximity: Proximity,
         other: NDArray[np.float64],
@@ -745,7 +615,7 @@ class Controller:
             other_rate_m_s=other.take(pairs),
         )
 
-    def _elbow_swing(self, arm: _Arm) -> NullspaceObjective:
+    def _elbow_swing(self, arm: ControlledArm) -> NullspaceObjective:
         """Swing the elbow at the speed the operator wants, as far as the tool's task leaves it free."""
         row = self._elbow_row(arm)
         tool = self._belief.get_frame_jacobian(arm.handles.tool_site_name, "site")[:, arm.dofs]
@@ -755,7 +625,7 @@ class Controller:
             return _preferring(np.zeros_like(row))
         return _preferring(arm.elbow_speed_m_s / (arm.ik.criterion.gain * mobility) * row)
 
-    def _elbow_row(self, arm: _Arm) -> NDArray[np.float64]:
+    def _elbow_row(self, arm: ControlledArm) -> NDArray[np.float64]:
         """(n,) speed of the elbow to the left, as seen from the base towards the tool, for each joint's."""
         model, data = self.cell.model, self._belief.data
         elbow = arm.handles.elbow_site
@@ -768,7 +638,7 @@ class Controller:
         mujoco.mj_jac(model, data, jacobian, None, data.site_xpos[elbow], body)
         return left @ jacobian[:, arm.dofs]
 
-    def _rate_of_others(self, arm: _Arm, proximity: Proximity) -> NDArray[np.float64]:
+    def _rate_of_others(self, arm: ControlledArm, proximity: Proximity) -> NDArray[np.float64]:
         """(P,) the part of each pair's rate that the other arms cause, as far as this arm may count on it.
 
         A support arm counts on the less favourable of what another arm plans and what it was last
@@ -785,7 +655,7 @@ class Controller:
             return proximity.jacobian @ now
         return np.minimum(proximity.jacobian @ now, proximity.jacobian @ before)
 
-    def _mode_of_support(self, arm: _Arm, row: ArmRecord, proximity: Proximity) -> str:
+    def _mode_of_support(self, arm: ControlledArm, row: ArmRecord, proximity: Proximity) -> str:
         jobs = arm.jobs
         if jobs is None:
             return "run"
@@ -798,12 +668,12 @@ class Controller:
             return "halt" if proximity.distance_m[limiting] <= self._settings.d_min_m else "scale"
         return "run"
 
-    def _meeting_distance_m(self, arm: _Arm, proximity: Proximity) -> float:
+    def _meeting_distance_m(self, arm: ControlledArm, proximity: Proximity) -> float:
         """Smallest distance between what the arm's present job brings together."""
         pairs = self._meeting_pairs(arm)
         return float(proximity.distance_m[pairs].min()) if len(pairs) else np.inf
 
-    def _meeting_pairs(self, arm: _Arm) -> NDArray[np.intp]:
+    def _meeting_pairs(self, arm: ControlledArm) -> NDArray[np.intp]:
         """Pairs that the arm's present job brings together, or that it leaves after having done so."""
         meeting = None if arm.jobs is None else arm.jobs.meeting
         key = (meeting, self.grasps.summary())
@@ -873,7 +743,7 @@ class Controller:
             raise ControlFault(self.tick, f"{what}, is not finite: {np.asarray(values).tolist()}")
 
 
-def _rows(proximity: Proximity, pairs: NDArray[np.intp], arm: _Arm) -> NDArray[np.float64]:
+def _rows(proximity: Proximity, pairs: NDArray[np.intp], arm: ControlledArm) -> NDArray[np.float64]:
     """(R, n) rows of G of some pairs, columns of an arm's joints."""
     return proximity.jacobian.take(pairs, axis=0).take(arm.dofs, axis=1)
 

@@ -1,0 +1,96 @@
+"""What the controller keeps for one arm: its solver, its driver, its part of the watched pairs."""
+
+from __future__ import annotations
+
+import mink
+import numpy as np
+
+from workcell.control.ik import ArmIk
+from workcell.control.ladder import Ladder
+from workcell.control.scaling import FactorGovernor
+from workcell.control.servo import ServoCommand
+from workcell.motion.jobs import JobSequence
+from workcell.motion.operator import make_operator
+from workcell.motion.path import Target, standing
+from workcell.scene.cell import Cell
+from workcell.scene.handles import ArmHandles
+
+
+class ControlledArm:
+    """What the controller keeps for one arm: its part of the pairs, its solver, its driver."""
+
+    def __init__(self, cell: Cell, handles: ArmHandles, configuration: mink.Configuration):
+        control, dt, nv = cell.scenario.control, cell.period_s, cell.model.nv
+        settings = next(arm for arm in cell.scenario.arm if arm.name == handles.name)
+        self.handles = handles
+        self.dofs = handles.dofs
+        self.support = bool(settings.job)
+        self.ik = ArmIk(
+            handles,
+            nv=nv,
+            dt_s=dt,
+            task_gain_per_s=control.task_gain_per_s,
+            criterion_gain=control.criterion_gain,
+        )
+        self.servo = ServoCommand(handles, dt_s=dt)
+        self.ladder = Ladder(period_s=dt, yields=control.yields, resolves=control.resolves_impasse)
+        self.attempt = ""
+        self.governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=dt)
+        pose = configuration.get_transform_frame_to_world(handles.tool_site_name, "site")
+        position, wxyz = pose.translation(), pose.rotation().wxyz
+        self.jobs = (
+            JobSequence(
+                settings.job,
+                arm=handles.name,
+                position_m=position,
+                wxyz=wxyz,
+                d_min_m=control.d_min_m,
+                repeat=settings.job_repeat,
+            )
+            if self.support
+            else None
+        )
+        self.operator = (
+            None
+            if settings.operator is None
+            else make_operator(
+                settings.operator,
+                position,
+                wxyz,
+                seed=cell.scenario.simulation.seed,
+                name=handles.name,
+                period_s=dt,
+            )
+        )
+        none = np.array([], dtype=np.intp)
+        self.all_pairs = none
+        """Pairs this arm's motion changes."""
+        self.criterion_pairs = none
+        """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
+        self.owned_pairs = none
+        """Pairs this arm answers for by slowing down."""
+        self.standing_pairs = np.array([], dtype=bool)
+        """For each of these, whether it is with the arm's own base, which only the other arm can come near."""
+        self.target: Target = standing(position, wxyz)
+        self.elbow_speed_m_s = 0.0
+        """Speed at which the operator wants the elbow to swing to the left."""
+        self.command_rad_s = np.zeros(len(handles.dofs))
+        self.wanted_rad_s = np.zeros(len(handles.dofs))
+        self.task_rad_s = np.zeros(len(handles.dofs))
+        self.factor = 1.0
+        self.paused = False
+        """Whether the path stands still while self-motion is tried against an impasse."""
+        self.meeting_key: object = None
+        self.meeting_pairs = none
+        self.tried_entry = False
+        """Whether another entry has been tried in the present attempt."""
+        base = cell.model.body_rootid[cell.model.site_bodyid[handles.tool_site]]
+        self.base_position_m = configuration.data.xpos[base].copy()
+
+    @property
+    def window(self) -> str | None:
+        """Name of the final check's exemption that the present job holds open."""
+        meeting = None if self.jobs is None else self.jobs.meeting
+        if meeting is None:
+            return None
+        return f"{self.handles.name}_{meeting.arm or meeting.instrument}"
