@@ -115,16 +115,7 @@ def states(trace: Trace) -> States:
 
 
 def write_states(path: Path, trace: Trace) -> None:
-    """Write knots of the states of a run.
-
-    Raises:
-        TraceError: Positions are not as many as velocities: rotations cannot be interpolated so.
-    """
-    if trace.layout.nq != trace.layout.nv:
-        raise TraceError(
-            f"{trace.source}: {trace.layout.nq} positions and {trace.layout.nv} velocities; "
-            "knots can only stand for hinges and slides"
-        )
+    """Write knots of the states of a run."""
     fed = states(trace)
     every = max(1, round(KNOT_S / period_s(trace)))
     changes = np.flatnonzero(fed.check_state[1:] != fed.check_state[:-1])
@@ -149,7 +140,8 @@ def read_states(path: Path, period_s: float) -> States:
     """The states of every tick of `period_s`, from their knots.
 
     Between knots positions are the cubic with the knots' positions and velocities, velocities its
-    derivative, and the final check says what it said at the knot before.
+    derivative, and the final check says what it said at the knot before. Instruments, whose free
+    joints come after those of all arms, go straight from knot to knot.
     """
     content = _read(path)
     knots = np.array([int(x) for x in content["tick"]])
@@ -162,17 +154,28 @@ def read_states(path: Path, period_s: float) -> States:
     # Velocities of the knots are per second, the cubic's parameter runs from knot to knot.
     step_s = (span * period_s)[:, None]
     a, b, da, db = q[left], q[right], v[left] * step_s, v[right] * step_s
+    free = q.shape[1] - v.shape[1]  # a free joint has seven positions and six velocities
+    hinges = v.shape[1] - 6 * free
+    qa, qb = a[:, :hinges], b[:, :hinges]
+    da, db = da[:, :hinges], db[:, :hinges]
     qpos = (
-        (1 + 2 * u) * (1 - u) ** 2 * a
+        (1 + 2 * u) * (1 - u) ** 2 * qa
         + u * (1 - u) ** 2 * da
-        + u**2 * (3 - 2 * u) * b
+        + u**2 * (3 - 2 * u) * qb
         + u**2 * (u - 1) * db
     )
-    slope = (6 * u * (u - 1) * (a - b) + (1 - u) * (1 - 3 * u) * da + u * (3 * u - 2) * db) / step_s
+    slope = (
+        6 * u * (u - 1) * (qa - qb) + (1 - u) * (1 - 3 * u) * da + u * (3 * u - 2) * db
+    ) / step_s
+    blend = np.clip(u, 0.0, 1.0)
+    loose = (1 - blend) * a[:, hinges:] + blend * b[:, hinges:]
+    for k in range(free):
+        turn = slice(7 * k + 3, 7 * k + 7)
+        loose[:, turn] /= np.linalg.norm(loose[:, turn], axis=1, keepdims=True)
     before = np.searchsorted(knots, ticks, side="right") - 1
     return States(
-        qpos,
-        slope,
+        np.hstack([qpos, loose]),
+        np.hstack([slope, (1 - blend) * v[left, hinges:] + blend * v[right, hinges:]]),
         np.array(content["check_state"], dtype=object)[before],
         _floats(content["check_distance_m"])[before],
     )
