@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from workcell import assets
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.cli import COMMANDS
@@ -22,6 +23,12 @@ def block(language: str) -> str:
 
 def test_the_table_of_commands_is_complete():
     assert set(re.findall(r"^\| `workcell ([a-z-]+)", README, flags=re.M)) == set(COMMANDS)
+
+
+def test_every_shipped_scenario_has_its_sentence():
+    rows = re.findall(r"^\| (`[a-z_`, ]+`) \| [A-Z].*\. \|$", README, flags=re.M)
+    told = [name for row in rows for name in re.findall(r"`([a-z_]+)`", row)]
+    assert sorted(told) == sorted(assets.scenario_names())
 
 
 def test_its_scenario_runs_and_holds_and_its_snippet_reads_it(tmp_path, monkeypatch, capsys):
