@@ -35,8 +35,8 @@ LENGTH = "simulation.duration_s"
 """A run of another length is compared as far as both go."""
 
 TTC_SIGNALS = ("ttc_s", "ttc_command_s")
-PAIR_INDICES = ("closest_pair", "ttc_pair", "limiting_pair")
-OF_SMALLEST_TTC = ("ttc_pair", "witness_i_m", "witness_j_m")
+PAIR_INDICES = ("closest_pair", "ttc_pair", "ttc_command_pair", "limiting_pair")
+OF_SMALLEST_TTC = ("ttc_pair", "ttc_command_pair", "closing_cause", "witness_i_m", "witness_j_m")
 PLANT_REASON = "servo_lag"
 """A reason the plant gives, not the controller; open loop, where there is no plant, passes it over."""
 
