@@ -22,6 +22,8 @@ TURN_LENGTH_M_PER_RAD = 0.25
 """Turning counts as length, so that a turn on the spot takes time too; chosen: about a hand's distance from the wrist."""
 SLOWEST_SHARE = 0.25
 """Share of a curve's mean rate that its parameter never falls below; chosen so that a reversal costs little time."""
+RATE_TOLERANCE = 1e-3
+"""Relative excess of speed that is let pass; ordinary paths stay far below."""
 _STEP_M = 0.005
 """Spacing of the table a geometry is tabulated in; its cubic interpolation is then good to about 1e-8 m."""
 
@@ -92,8 +94,15 @@ class PathGeometry:
             np.hstack([position(where), quats]),
             bc_type="not-a-knot" if len(at) > 3 else "natural",
         )
+        # Between the table's entries a sharp turn can come out faster than it should: counted as longer.
+        stretch = max(1.0, _peak_rate(curve, 8 * len(at)))
+        if stretch > 1.0 + RATE_TOLERANCE:
+            self.length_m *= stretch
+            curve = CubicSpline(
+                at * stretch, curve(at), bc_type="not-a-knot" if len(at) > 3 else "natural"
+            )
         # The pieces are looked up once or twice a tick, in a tenth of the time a spline object takes.
-        self._knots = at.tolist()
+        self._knots = curve.x.tolist()
         self._pieces = np.ascontiguousarray(curve.c.transpose(1, 0, 2))
 
     def pose(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -200,6 +209,16 @@ class TimedPath:
 
 def _unit(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return wxyz / math.hypot(*wxyz.tolist())
+
+
+def _peak_rate(curve: CubicSpline, samples: int) -> float:
+    """Largest speed along a curve of position and quaternion, turning counted as length."""
+    at = np.linspace(curve.x[0], curve.x[-1], samples)
+    value, rate = curve(at), curve(at, 1)
+    # |ω| = 2 |q̇| for a unit quaternion.
+    turning = 2.0 * np.linalg.norm(rate[:, 3:], axis=1) / np.linalg.norm(value[:, 3:], axis=1)
+    speed = np.hypot(np.linalg.norm(rate[:, :3], axis=1), TURN_LENGTH_M_PER_RAD * turning)
+    return float(speed.max())
 
 
 def _ramp_up(time_s: float, speed_m_s: float, ramp_s: float) -> tuple[float, float]:
