@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -13,7 +14,7 @@ from tests import cells
 from workcell import run as runner
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
-from workcell.study.contact import ContactJudge
+from workcell.study.contact import FAR_LOOK_S, FAR_M, LOOK_S, ContactJudge
 
 
 @dataclass(frozen=True)
@@ -155,3 +156,37 @@ def test_a_meeting_allows_nearness_but_no_touch(stage: Stage):
                 assert near.contact is None
                 assert near.smallest_m > plain.smallest_m
     assert touch.contact.pair == tools
+
+
+def test_looks_are_rare_where_nothing_is_near_and_every_ten_milliseconds_where_something_is(
+    stage: Stage, touching: np.ndarray, monkeypatch: pytest.MonkeyPatch
+):
+    """Nothing slower than 2.5 m/s may come from afar to a touch between two looks."""
+    judge, ticks = stage.judge(), []
+    near_m = {"value": 0.2}
+    monkeypatch.setattr(judge, "judge", lambda tick, *_: ticks.append(tick) or near_m["value"])
+    controller = SimpleNamespace(windows=[], grasps=SimpleNamespace(holders={}))
+    data = mujoco.MjData(stage.cell.model)
+    for tick in range(40):
+        near_m["value"] = 0.2 if tick < 20 else 0.05
+        judge.look(tick, data, controller)  # type: ignore[arg-type]
+    period_s = stage.cell.period_s
+    gaps_s = period_s * np.diff(ticks)
+    far = np.array(ticks[:-1]) < 20
+    assert gaps_s[far].max() <= FAR_LOOK_S + period_s / 2
+    assert gaps_s[far].min() > LOOK_S + period_s
+    assert gaps_s[~far].max() <= LOOK_S + period_s / 2
+    assert FAR_M / FAR_LOOK_S >= 2.5
+
+
+def test_nearer_than_d_min_is_told_though_nothing_touched(stage: Stage, touching: np.ndarray):
+    judge = stage.judge()
+    judge.judge(0, stage.qpos, np.zeros(6), [])
+    assert not judge.below_d_min
+    for share in np.linspace(1.0, 0.0, 200):
+        judge.judge(0, touching + share * (stage.qpos - touching), np.zeros(6), [])
+        if judge.below_d_min:
+            break
+    assert judge.below_d_min
+    assert judge.contact is None
+    assert 0.0 < judge.smallest_m <= stage.cell.scenario.control.d_min_m

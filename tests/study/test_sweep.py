@@ -15,7 +15,7 @@ from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.errors import InputError
 from workcell.study import report
-from workcell.study.outcome import VOLATILE
+from workcell.study.outcome import AFTER_DONE_S, VOLATILE
 from workcell.study.sweep import JOURNAL_FILE, Plan, plan, sweep
 from workcell.study.workers import LocalWorkers, WorkerDied
 from workcell.trace.table import load
@@ -190,3 +190,16 @@ def test_a_plan_that_cannot_be_made_is_refused(
 def test_a_scenario_without_variations_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match=r"has no \[vary\] table"):
         plan(scenario(tmp_path, vary={}), runs=1, seed=0)
+
+
+def test_a_run_ends_soon_after_its_last_job(tmp_path: Path):
+    quick = {"kind": "wait", "duration_s": 0.3}
+    content = cells.duet()
+    content["arm"][1]["job"] = [quick]
+    content["simulation"] = {"plant": "kinematic", "period_s": 0.01, "duration_s": 4.0}
+    content |= {"check": {"enabled": False}, "vary": VARY}
+    what, out = plan(str(cells.write(tmp_path, content)), runs=1, seed=0), tmp_path / "out"
+    assert sweep(what, out, Here(), ahead=1)
+    [row] = rows(out)
+    assert row["success"]
+    assert row["simulated_s"] == pytest.approx(row["done_s"] + AFTER_DONE_S, abs=0.03)

@@ -28,6 +28,13 @@ closing speed that matters, d_min / t_min at their defaults, and well above the 
 DIFFERENCE_S = 1e-4
 """Time over which distances are differenced: a few micrometres of motion at working speeds, far above
 the search's 1e-7 m and far below any feature of a housing."""
+LOOK_S = 0.01
+"""Time from one look to the next; where a tick is longer, every tick. The final check's own, at its default."""
+FAR_M = 0.1
+"""Where the last look found nothing as near as this, the next may be later ..."""
+FAR_LOOK_S = 0.04
+"""... by this: chosen so that nothing slower than 2.5 m/s comes through in between, five times the
+fastest arm here."""
 _ANY_SPEED_M_S = 1e6
 
 
@@ -59,8 +66,8 @@ class ContactJudge:
     Args:
         cell: What is simulated.
         scene_xml: Its scene file, compiled here anew.
-        settings: What the run's own final check is told; only its arms, its exempt pairs and how
-            often it looks are kept.
+        settings: What the run's own final check is told; the judge keeps its arms, its exempt pairs
+            and the period, and d_min only for `below_d_min`.
     """
 
     def __init__(self, cell: Cell, scene_xml: Path, settings: CheckSettings):
@@ -72,8 +79,9 @@ class ContactJudge:
         )
         self._checker = Checker(scene_xml, replace(settings, d_min_m=0.0, exemptions=terms))
         self._data = mujoco.MjData(self._checker.model)
-        self._every = settings.every_ticks
         self._period_s = settings.period_s
+        self._d_min_m = settings.d_min_m
+        self._next_s = 0.0
         support = [bool(arm.job) for arm in cell.scenario.arm]
         self._support, self._priority = (
             np.concatenate(
@@ -96,16 +104,25 @@ class ContactJudge:
         self.contact: Contact | None = None
         """The first contact."""
 
+    @property
+    def below_d_min(self) -> bool:
+        """Whether pairs that are not meeting came as near as d_min, where the final check halts the arms."""
+        return self.smallest_m <= self._d_min_m
+
     def look(self, tick: int, data: mujoco.MjData, controller: Controller) -> None:
         """See `workcell.run.simulate`: before every tick, the true state and the open exchanges."""
-        if tick % self._every == 0:
-            self.judge(
-                tick,
-                np.array(data.qpos),
-                np.array(data.qvel),
-                controller.windows,
-                controller.grasps.holders,
-            )
+        # Half a tick of slack: times are products of ticks and meet only up to rounding.
+        time_s = (tick + 0.5) * self._period_s
+        if time_s < self._next_s:
+            return
+        nearest_m = self.judge(
+            tick,
+            np.array(data.qpos),
+            np.array(data.qvel),
+            controller.windows,
+            controller.grasps.holders,
+        )
+        self._next_s = tick * self._period_s + (FAR_LOOK_S if nearest_m > FAR_M else LOOK_S)
 
     def judge(
         self,
@@ -114,8 +131,8 @@ class ContactJudge:
         qvel: NDArray[np.float64],
         windows: list[str],
         holders: dict[str, str | None] | None = None,
-    ) -> None:
-        """Take one configuration into account.
+    ) -> float:
+        """Take one configuration into account; returns the smallest distance in it, m, of what is meeting too.
 
         Args:
             tick: When.
@@ -138,15 +155,16 @@ class ContactJudge:
                 ),
             )
         )
+        nearest_m = min(answer.distance_m, answer.exempt_distance_m)
         fault = answer.exemption_fault >= 0
         pair = answer.exempt_pair if fault and answer.distance_m > 0.0 else answer.pair
         if pair[0] < 0:
-            return
+            return nearest_m
         if answer.distance_m < self.smallest_m:
             self.smallest_m, self.smallest_pair = answer.distance_m, self._names(answer.pair)
         touches = answer.halt and self.contact is None
         if not (touches or answer.distance_m < self.smallest_support_m):
-            return
+            return nearest_m
         support_m_s = self.closing_m_s(pair, qpos, qvel, self._support)
         if support_m_s > CAUSING_M_S:
             self.smallest_support_m = min(self.smallest_support_m, answer.distance_m)
@@ -155,6 +173,7 @@ class ContactJudge:
             self.contact = Contact(
                 tick * self._period_s, self._names(pair), support_m_s, priority_m_s
             )
+        return nearest_m
 
     def closing_m_s(
         self,

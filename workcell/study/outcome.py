@@ -2,7 +2,8 @@
 
 Comes in: a scenario, concrete. Goes out: an `Outcome`, the same on any machine of a kind, and, for
 a run that failed, the files of its run folder. A success is: every job done, nobody touched by the
-independent judge (contact.py), no halt of the final check, no fault.
+independent judge (contact.py), no halt of the final check, no fault. A run ends soon after the
+last job is done: what would follow is a person alone.
 """
 
 from __future__ import annotations
@@ -14,9 +15,12 @@ import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from workcell import run as runner
+from workcell.control.controller import Controller
 from workcell.errors import InputError
 from workcell.scenario import Scenario
 from workcell.scene.compose import SCENE_FILE
@@ -29,6 +33,10 @@ IMPASSE_S = 2.0
 than any dwell and than an arm needs to brake and start again."""
 IMPASSE_PROGRESS = 0.02
 """Progress of the path clock below this share of time is none: at full speed 15 cm/s it is 3 mm/s."""
+AFTER_DONE_S = 1.0
+"""Simulated time a run goes on after its last job is done; chosen as the default t_min."""
+SHORT_SHARE = 0.99
+"""A commanded time to collision below this share of t_min is too short; the bound of the scenarios' `[expect]`."""
 WAITING_JOBS = ("wait", "dwell", "done")
 """Jobs in which standing still is what was asked."""
 
@@ -70,12 +78,18 @@ class Outcome:
     """Smallest high-resolution distance but of tools that are meeting, m."""
     smallest_pair: str | None = None
     """Where."""
+    below_d_min: bool = False
+    """Whether that one came down to the final check's d_min, at which it halts the arms if it is on."""
     smallest_support_m: float | None = None
     """Smallest high-resolution distance that a support arm's own motion was closing, m."""
     smallest_ttc_s: float | None = None
     """Smallest time to collision from measured velocities, s."""
     smallest_ttc_command_own_s: float | None = None
     """The same from commanded velocities, but where the other arm alone broke the bound, s."""
+    short_ticks: int | None = None
+    """Ticks at which that one is below `SHORT_SHARE` of t_min."""
+    short_reason: str = ""
+    """What the support arms say in the worst of these ticks."""
     tool_error_m: float | None = None
     """Largest tool error of a priority arm, m."""
     tool_error_rad: float | None = None
@@ -131,7 +145,7 @@ def _outcome(
         judge = ContactJudge(
             cell, folder / runner.SCENE_FOLDER / SCENE_FILE, runner.check_settings(cell)
         )
-        ending = runner.simulate(cell, folder, watch=judge.look)
+        ending = runner.simulate(cell, folder, watch=_Watch(scenario, judge))
     except InputError as error:
         return Outcome(run, setting, "refused", reason="; ".join(error.faults))
     if ending.interrupted:
@@ -143,6 +157,23 @@ def _outcome(
         (folder / runner.SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
         runner.conclude(cell, folder, ending)
     return outcome
+
+
+class _Watch:
+    """Lets the judge look, and ends the run some time after its last job is done."""
+
+    def __init__(self, scenario: Scenario, judge: ContactJudge):
+        self._judge = judge
+        self._support = [arm.name for arm in scenario.arm if arm.job]
+        self._left = round(AFTER_DONE_S / scenario.simulation.period_s)
+
+    def __call__(self, tick: int, data: mujoco.MjData, controller: Controller) -> bool:
+        """See `workcell.run.simulate`."""
+        self._judge.look(tick, data, controller)
+        if tick and self._support:
+            arms = controller.record.arms
+            self._left -= all(arms[name].job == metrics.DONE_JOB for name in self._support)
+        return self._left < 0
 
 
 def _measure(
@@ -159,6 +190,7 @@ def _measure(
     done = all(str(trace[f"{arm}.job"][-1]) == "done" for arm in support)
     halt = None if ending.check is None else ending.check["halt"]
     contact = judge.contact
+    short = _short(trace)
     return Outcome(
         run=run,
         setting=setting,
@@ -178,13 +210,34 @@ def _measure(
         done_s=max((done_at_s(trace, arm) for arm in support), default=0.0) if done else None,
         smallest_m=_finite(judge.smallest_m),
         smallest_pair=None if judge.smallest_pair is None else " and ".join(judge.smallest_pair),
+        below_d_min=judge.below_d_min,
         smallest_support_m=_finite(judge.smallest_support_m),
         smallest_ttc_s=_number(values["smallest_ttc_s"]),
         smallest_ttc_command_own_s=_number(values["smallest_ttc_command_own_s"]),
+        short_ticks=int(short.sum()),
+        short_reason=_reason(trace, support, short),
         tool_error_m=_largest(values, priority, "max_tool_error_m"),
         tool_error_rad=_largest(values, priority, "max_tool_error_rad"),
         jerk_rad_s3=_largest(values, support, "peak_joint_jerk_rad_s3"),
         simulated_s=len(trace) * scenario.simulation.period_s,
+    )
+
+
+def _short(trace: Trace) -> NDArray[np.bool_]:
+    """Ticks at which the support arms' own commands leave less than t_min, (T,)."""
+    own = metrics.answered_for(trace)
+    return own & (np.where(own, trace["ttc_command_s"], np.inf) < SHORT_SHARE * trace["t_min_s"])
+
+
+def _reason(trace: Trace, support: list[str], short: NDArray[np.bool_]) -> str:
+    """Mode and reason of the support arms in the tick that is shortest against t_min."""
+    if not short.any():
+        return ""
+    share = np.where(short, trace["ttc_command_s"] / trace["t_min_s"], np.inf)
+    tick = int(np.argmin(share))
+    return ", ".join(
+        f"{arm}: {trace[f'{arm}.mode'][tick]} {trace[f'{arm}.reason'][tick] or 'no reason'}"
+        for arm in support
     )
 
 

@@ -54,6 +54,8 @@ EVENTS = (
     Event("contact by the priority arm alone", lambda row: row["contact_cause"] == "priority"),
     Event("contact by nobody's motion", lambda row: row["contact_cause"] == "none"),
     Event("halt of the final check", lambda row: row["halted"]),
+    Event("nearer than d_min, meeting tools apart", lambda row: row["below_d_min"]),
+    Event("support arms' commands short of t_min", lambda row: bool(row["short_ticks"])),
     Event("impasse", lambda row: row["impasse"]),
     Event("fault of the controller", lambda row: row["status"] == "fault"),
 )

@@ -253,12 +253,7 @@ def _times_to_collision(trace: Trace) -> dict[str, Metric]:
         result["smallest_ttc_command_s"] = float(commanded[tick])
         result["smallest_ttc_command_time_s"] = float(trace["time_s"][tick])
         result["smallest_ttc_command_reason"] = ", ".join(sorted(reasons))
-    # Where the other arm comes nearer by itself, no factor of this one could hold t_min; and a pair
-    # of an arm that a person drives, with itself or with what stands, is the person's.
-    own = ~np.isnan(commanded)
-    own &= ~np.isin(trace["ttc_command_pair"], trace.metadata.get("person_pairs", []))
-    for arm in trace.layout.arms:
-        own &= trace[f"{arm}.reason"] != OTHER_ARM_REASON
+    own = answered_for(trace)
     if own.any():
         result["smallest_ttc_command_own_s"] = float(commanded[own].min())
     result["scaling_ticks"] = int(np.sum(trace["mode"] == "scale"))
@@ -266,6 +261,19 @@ def _times_to_collision(trace: Trace) -> dict[str, Metric]:
     for arm in trace.layout.arms:
         scaling |= held_back(trace, arm)
     return result | _held_at_t_min(trace, scaling, "")
+
+
+def answered_for(trace: Trace) -> NDArray[np.bool_]:
+    """Ticks whose commanded time to collision a support arm could have held, (T,).
+
+    Where the other arm comes nearer by itself, no factor of this one could hold t_min; and a pair
+    of an arm that a person drives, with itself or with what stands, is the person's.
+    """
+    own = ~np.isnan(trace["ttc_command_s"])
+    own &= ~np.isin(trace["ttc_command_pair"], trace.metadata.get("person_pairs", []))
+    for arm in trace.layout.arms:
+        own &= trace[f"{arm}.reason"] != OTHER_ARM_REASON
+    return own
 
 
 def _held_at_t_min(trace: Trace, ticks: NDArray[np.bool_], prefix: str) -> dict[str, Metric]:
