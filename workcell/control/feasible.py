@@ -1,42 +1,54 @@
-"""Can the scenario be carried out at all: are its poses within reach, does braking fit into t_min?
+"""Can the scenario be carried out at all: are its poses within reach, its speeds within the joints, does braking fit into t_min?
 
 Judged before the first tick, with the arms' own kinematics: each scripted path is followed offline,
-and t_min is held against the time the slowest braking direction needs (theory: section 5).
+and t_min is held against the time the slowest braking direction needs (theory: section 5). Speed is
+judged of waypoints that an operator follows, since nothing slows those down; jobs are slowed down
+where the joints cannot keep up, and what a simulated person draws is only known as it happens.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import mink
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
-from workcell.control.ik import ToolTask
+from workcell.control.criteria import NullspaceObjective
+from workcell.control.ik import ArmIk, ToolTask
 from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
-from workcell.motion.operator import path_through
-from workcell.motion.path import PathGeometry, standing
+from workcell.motion.operator import make_operator, path_through
+from workcell.motion.path import Target, standing
 from workcell.scene.cell import Cell
 from workcell.scene.handles import ArmHandles
 
 REACHED_M = 2e-3
 REACHED_RAD = 1e-2
 """A pose counts as reached within these; chosen far below what a watched capsule is loose by."""
+LAG_M = 0.02
+"""A path's speed is one that can be followed while the tool stays this near: farther away the controller itself counts
+an arm as off its path (REJOIN_M)."""
 _STEP_M = 0.02
+_STEP_S = 0.02
 _ITERATIONS = 30
+_SPEED_TRIALS = 10
+_SLOWER = 0.8
 
 
 def check(cell: Cell) -> None:
-    """Refuse paths out of reach and a t_min too small to brake in.
+    """Refuse paths out of reach, operators' paths too fast for their joints, and a t_min too small to brake in.
 
     Raises:
         InputError: every fault found, naming arm, job, the length along its path and the remaining error.
     """
     faults: list[str] = []
     for arm, handles in zip(cell.scenario.arm, cell.arms, strict=True):
-        faults += _out_of_reach(cell, arm, handles)
+        unreached = list(_out_of_reach(cell, arm, handles))
+        # Where a path cannot be followed at all, no speed is worth a word.
+        faults += unreached or _too_fast(cell, arm, handles)
         if arm.job:
             faults += _no_room_to_brake(cell, arm, handles)
     if faults:
@@ -54,7 +66,7 @@ def _out_of_reach(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterato
     for key, waypoints in _waypoint_lists(arm):
         geometry = path_through(waypoints, position, wxyz)
         for s_m in np.linspace(0.0, geometry.length_m, 2 + int(geometry.length_m / _STEP_M)):
-            error = _move_to(belief, task, handles, geometry, s_m)
+            error = _move_to(belief, task, handles, standing(*geometry.pose(s_m)))
             if np.linalg.norm(error[:3]) > REACHED_M or np.linalg.norm(error[3:]) > REACHED_RAD:
                 at = ", ".join(f"{x:.3f}" for x in geometry.pose(s_m)[0])
                 yield (
@@ -79,11 +91,10 @@ def _move_to(
     belief: mink.Configuration,
     task: ToolTask,
     handles: ArmHandles,
-    geometry: PathGeometry,
-    s_m: float,
+    pose: Target,
 ) -> NDArray[np.float64]:
     """Newton steps towards a pose, clipped to the joint ranges; returns the remaining tool error (6,)."""
-    task.follow(standing(*geometry.pose(s_m)))
+    task.follow(pose)
     for _ in range(_ITERATIONS):
         error = task.compute_error(belief)
         if np.abs(error).max() < REACHED_M / 10:
@@ -97,6 +108,87 @@ def _move_to(
         )
         belief.update(q)
     return task.compute_error(belief)
+
+
+def _too_fast(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
+    """An operator's waypoints at their speed, refused with the speed that would do."""
+    operator = arm.operator
+    if not isinstance(operator, scenario.Waypoints):
+        return
+    lag = largest_lag(cell, handles, operator)
+    if lag.error_m <= LAG_M:
+        return
+    advice = f"no lower speed mends that at acceleration_m_s2 = {operator.acceleration_m_s2:g}"
+    speed = operator.speed_m_s
+    for _ in range(_SPEED_TRIALS):
+        speed *= _SLOWER
+        slower = operator.model_copy(update={"speed_m_s": speed})
+        if largest_lag(cell, handles, slower).error_m <= LAG_M:
+            advice = f"{speed:.2g} m/s would do"
+            break
+    where = ", ".join(f"{x:.3f}" for x in lag.position_m)
+    yield (
+        f"arm.{arm.name}.operator.speed_m_s = {operator.speed_m_s:g}: too fast for the joints, whose limits leave the tool "
+        f"{1e3 * lag.error_m:.0f} mm behind near ({where}) m; allowed is {1e3 * LAG_M:g} mm, and {advice}"
+    )
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How far a tool falls behind what leads it."""
+
+    error_m: float
+    """Largest distance to the target."""
+    position_m: NDArray[np.float64]
+    """(3,) where the target then is."""
+
+
+def largest_lag(cell: Cell, handles: ArmHandles, operator: scenario.Waypoints) -> Lag:
+    """Follow an operator's waypoints as the controller would, nothing else in the cell and no self-motion wanted."""
+    belief = mink.Configuration(cell.model)
+    cell.place_home(belief.data)
+    belief.update()
+    pose = belief.get_transform_frame_to_world(handles.tool_site_name, "site")
+    start = pose.translation(), pose.rotation().wxyz
+    step_s = max(_STEP_S, cell.period_s)
+    control = cell.scenario.control
+    ik = ArmIk(
+        handles,
+        nv=cell.model.nv,
+        dt_s=step_s,
+        task_gain_per_s=control.task_gain_per_s,
+        criterion_gain=0.0,
+    )
+    n = len(handles.dofs)
+    nothing = NullspaceObjective(np.zeros((n, n)), np.zeros(n))
+    no_rows = np.zeros((0, n)), np.zeros(0)
+    # One leg back and one forth are all there is: further ones repeat them.
+    once = operator.model_copy(update={"start_s": 0.0, "repeat": min(operator.repeat, 2)})
+    driver = make_operator(once, *start)
+    velocity, worst = np.zeros(n), Lag(0.0, start[0])
+    for k in range(round(_duration_s(once, *start) / step_s) + 1):
+        target = driver.wish(k * step_s).target
+        tool = belief.data.site_xpos[handles.tool_site]
+        error_m = float(np.linalg.norm(tool - target.position_m))
+        if error_m > worst.error_m:
+            worst = Lag(error_m, target.position_m)
+        ik.aim(belief, target)
+        velocity = ik.solve(belief, velocity, nothing, *no_rows).velocity_rad_s
+        q = belief.data.qpos.copy()
+        q[handles.qpos] += step_s * velocity
+        belief.update(q)
+    return worst
+
+
+def _duration_s(
+    operator: scenario.Waypoints, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]
+) -> float:
+    """An upper bound of the time the operator moves: every stretch at its speed, and one ramp up and down each."""
+    waypoints = path_through(operator.waypoints, position_m, wxyz).length_m
+    # A smooth step loses 1.5 v / a to its two ramps.
+    ramps_s = 1.5 * operator.speed_m_s / operator.acceleration_m_s2
+    stretch_s = waypoints / operator.speed_m_s + ramps_s + operator.pause_s
+    return (1 + operator.repeat) * stretch_s
 
 
 def _no_room_to_brake(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
