@@ -11,13 +11,18 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:       ## say what there is
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
 
-install: .venv/installed  ## set up .venv from the lock
+install: .venv/installed .venv/compiled  ## set up .venv from the lock, and compile what a tick computes
 
 .venv/installed: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed, $(PYTHON) is older; say PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+# Without it everything works as well, slower.
+.venv/compiled: .venv/installed $(wildcard workcell/control/kernels/*.py)
+	-@$(BIN)/workcell compile
 	@touch $@
 
 run: install  ## run a scenario headlessly into runs/ (SCENARIO=handover)

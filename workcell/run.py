@@ -26,6 +26,7 @@ import numpy as np
 from workcell.control import feasible
 from workcell.control.controller import Controller
 from workcell.control.grasp import hand_bodies
+from workcell.control.kernels import library
 from workcell.errors import ControlFault, InputError
 from workcell.expect import judge
 from workcell.guard.monitor import FinalCheck
@@ -340,8 +341,8 @@ def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that decides what a trace holds."""
-    return {name: version(name) for name in PACKAGES}
+    """Versions of everything that decides what a trace holds, and which arithmetic is used (docs/performance.md)."""
+    return {name: version(name) for name in PACKAGES} | {"kernels": library.in_use()}
 
 
 @contextmanager

@@ -16,12 +16,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import finite
+from workcell.control.kernels.library import ArrayFunction
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
 
 CriterionName = Literal["artc", "artc_approaching", "armd", "none"]
 CRITERIA: tuple[CriterionName, ...] = ("artc", "artc_approaching", "armd", "none")
+
+# As compiled code numbers the criteria.
+_SIGNED = ArrayFunction("average", "distance", "rate", kind=0)
+_APPROACHING = ArrayFunction("average", "distance", "rate", kind=1)
+_ARMD = ArrayFunction("average", "distance", kind=2)
+_DESCENTS = {
+    "artc": ArrayFunction("objective", "distance", "rows", kind=0),
+    "artc_approaching": ArrayFunction("objective", "distance", "rows", "rate", "other", kind=1),
+    "armd": ArrayFunction("objective", "distance", "rows", kind=2),
+}
 
 DISTANCE_FLOOR_M = 1e-3
 """Distances below this count as this, touching and penetrating pairs included.
@@ -49,16 +60,25 @@ def artc_signed(distance_m: ArrayLike, rate_m_s: ArrayLike) -> float:
         distance_m: (P,), floored at `DISTANCE_FLOOR_M`.
         rate_m_s: (P,).
     """
+    found = _SIGNED(distance_m, rate_m_s)
+    if found is not None:
+        return found["value"].item()
     return _mean(-finite("rate_m_s", rate_m_s) / _floor(distance_m))
 
 
 def artc_approaching(distance_m: ArrayLike, rate_m_s: ArrayLike) -> float:
     """Approaching ARTC (1/s): the mean of max(0, -rate/distance); opening pairs count 0."""
+    found = _APPROACHING(distance_m, rate_m_s)
+    if found is not None:
+        return found["value"].item()
     return _mean(np.maximum(0.0, -finite("rate_m_s", rate_m_s)) / _floor(distance_m))
 
 
 def armd(distance_m: ArrayLike) -> float:
     """ARMD (1/m): the mean of 1/distance. 0 if no pairs."""
+    found = _ARMD(distance_m)
+    if found is not None:
+        return found["value"].item()
     return _mean(1.0 / _floor(distance_m))
 
 
@@ -71,11 +91,17 @@ def artc_signed_gradient(distance_m: ArrayLike, jacobian: ArrayLike) -> Array:
         distance_m: (P,).
         jacobian: G = dd/dq, (P, n) in m/rad.
     """
+    found = _DESCENTS["artc"](distance_m, jacobian)
+    if found is not None:
+        return found["linear"].copy()
     return _weighted_rows(jacobian, -1.0 / _floor(distance_m))
 
 
 def armd_gradient(distance_m: ArrayLike, jacobian: ArrayLike) -> Array:
     """Gradient of ARMD in the joint positions (n,): -(1/P) sum of G/d^2."""
+    found = _DESCENTS["armd"](distance_m, jacobian)
+    if found is not None:
+        return found["linear"].copy()
     return _weighted_rows(jacobian, -1.0 / _floor(distance_m) ** 2)
 
 
@@ -104,6 +130,11 @@ def objective(
     Raises:
         WorkcellError: An unknown criterion, or an input that is not finite.
     """
+    if criterion in _DESCENTS:
+        rates = (rate_m_s, other_rate_m_s) if criterion == "artc_approaching" else ()
+        found = _DESCENTS[criterion](distance_m, jacobian, *rates)
+        if found is not None:
+            return NullspaceObjective(found["hessian"].copy(), found["linear"].copy())
     rows = finite("jacobian", jacobian)
     n = rows.shape[1]
     hessian, linear = np.zeros((n, n)), np.zeros(n)

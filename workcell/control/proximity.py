@@ -2,19 +2,23 @@
 
 In: a MuJoCo model whose `fromto` sensors hold the witness points of each pair, and data on which
 kinematics and sensors were computed. Out: signed distance d, direction n, witness points, the
-Jacobian G = dd/dq of every pair (paper equations 3 to 5). All pairs are treated at once.
+Jacobian G = dd/dq of every pair (paper equations 3 to 5). All pairs are treated at once: in compiled
+code where there is any (`kernels`), else in what is written here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import all_finite, finite
+from workcell.control.kernels.arguments import DONE
+from workcell.control.kernels.library import Bound, Kernels, kernels
 from workcell.errors import InputError, WorkcellError
 
 Array = NDArray[np.float64]
@@ -114,6 +118,8 @@ class PairGeometry:
         self.moves_j = moves[self.body_j]
         self.sign = self.moves_i - self.moves_j
         self.body_root = model.body_rootid.copy()
+        self.body_parent = model.body_parentid.copy()
+        self.dof_body = model.dof_bodyid.copy()
         self.dof_root = model.body_rootid[model.dof_bodyid]
         self.names = [
             _pair_name(model, i, j) for i, j in zip(self.geom_i, self.geom_j, strict=True)
@@ -125,6 +131,17 @@ class PairGeometry:
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+        self._compiled: _Compiled | None = None
+
+    def compiled(self, data: mujoco.MjData) -> _Compiled | None:
+        """The compiled functions at work on this data; None where NumPy is used."""
+        found = kernels()
+        if found is None or not len(self):
+            return None
+        at_work = self._compiled
+        if at_work is None or at_work.data is not data or at_work.kernels is not found:
+            at_work = self._compiled = _Compiled(found, self, data)
+        return at_work
 
     def _prepare(self) -> None:
         """Everything `measure` looks up, as flat addresses. Rows of "ends" are i, j, i, j, ..."""
@@ -176,6 +193,12 @@ class PairGeometry:
         Raises:
             WorkcellError: A pair is beyond its sensor's cutoff, or a result is not finite.
         """
+        compiled = self.compiled(data)
+        found = None if compiled is None else compiled.measure()
+        return self._measure(data) if found is None else found
+
+    def _measure(self, data: mujoco.MjData) -> Proximity:
+        """`measure` in NumPy; it also says what is wrong where compiled code only sees that something is."""
         fromto = data.sensordata.take(self._columns)
         if not fromto[:, 0].all():
             self._refuse_beyond(fromto)
@@ -318,6 +341,77 @@ class PairGeometry:
         screws = data.cdof.copy()
         screws[:, 3:] += cross(data.subtree_com[self.dof_root], screws[:, :3])
         return self.sign * (line @ screws.T)
+
+
+class _Compiled:
+    """The compiled functions for one geometry, bound to the arrays of one data.
+
+    Args:
+        kernels: Of this process.
+        geometry: The pairs.
+        data: Its arrays never move, so their addresses are taken once.
+    """
+
+    def __init__(self, kernels: Kernels, geometry: PairGeometry, data: mujoco.MjData):
+        self.kernels = kernels
+        self.data = data
+        joints, bodies = len(geometry.dof_root), len(geometry.body_root)
+        sizes = {
+            "pairs": len(geometry),
+            "joints": joints,
+            "bodies": bodies,
+            "geoms": len(data.geom_xpos),
+            "sensors": len(data.sensordata),
+        }
+        common = {
+            "geom_xpos": data.geom_xpos,
+            "geom_xmat": data.geom_xmat,
+            "cdof": data.cdof,
+            "subtree_com": data.subtree_com,
+            "geom": _integers(np.stack([geometry.geom_i, geometry.geom_j], axis=1)),
+            "radius": np.stack([geometry.radius_i_m, geometry.radius_j_m], axis=1),
+            "half_length": np.stack([geometry.half_length_i_m, geometry.half_length_j_m], axis=1),
+        }
+        self._measure: Bound = kernels.bind(
+            "measure",
+            sizes,
+            **common,
+            sensordata=data.sensordata,
+            sensor_adr=_integers(geometry.sensor_adr),
+            dof_root=_integers(geometry.dof_root),
+            sign=geometry.sign,
+        )
+        self.second_order: Bound = kernels.bind(
+            "second_order",
+            sizes,
+            **common,
+            cdof_dot=data.cdof_dot,
+            qvel=data.qvel,
+            body_parent=_integers(geometry.body_parent),
+            body_root=_integers(geometry.body_root),
+            dof_body=_integers(geometry.dof_body),
+            body=_integers(np.stack([geometry.body_i, geometry.body_j], axis=1)),
+            face=np.stack([geometry.face_half_size_i_m, geometry.face_half_size_j_m], axis=1),
+        )
+        kept = self._measure.arrays
+        self._kept = tuple(
+            kept[name]
+            for name in (
+                "distance", "normal", "witness_i", "witness_j", "surface_i", "surface_j",
+                "jacobian", "degenerate",
+            )
+        )  # fmt: skip
+
+    def measure(self) -> Proximity | None:
+        """What `PairGeometry.measure` returns; None where NumPy has to say what is wrong."""
+        self._measure.run()
+        if self._measure.done() != DONE:
+            return None
+        return Proximity(*[array.copy() for array in self._kept])
+
+
+def _integers(values: NDArray[Any]) -> NDArray[np.int64]:
+    return np.ascontiguousarray(values, dtype=np.int64)
 
 
 def _core(model: mujoco.MjModel, geom: NDArray[np.int_]) -> tuple[Array, Array]:

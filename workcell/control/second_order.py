@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import finite
+from workcell.control.kernels.arguments import DONE
 from workcell.control.proximity import CROSSING_TOLERANCE_M, PairGeometry, Proximity, cross
 
 Array = NDArray[np.float64]
@@ -69,6 +70,28 @@ def second_order(
         WorkcellError: `qacc` or a result is not finite.
     """
     qacc = finite("qacc", qacc)
+    compiled = geometry.compiled(data)
+    if compiled is not None:
+        call = compiled.second_order
+        kept = call.arrays
+        for name, value in (
+            ("qacc", qacc),
+            ("witness_i", proximity.witness_i_m),
+            ("witness_j", proximity.witness_j_m),
+            ("normal", proximity.normal),
+            ("degenerate", proximity.degenerate),
+        ):
+            np.copyto(kept[name], value)
+        call.run()
+        if call.done() == DONE:
+            return SecondOrder(*[kept[name].copy() for name in ("accel", "exact", "parallel")])
+    return _second_order(geometry, data, proximity, qacc)
+
+
+def _second_order(
+    geometry: PairGeometry, data: mujoco.MjData, proximity: Proximity, qacc: Array
+) -> SecondOrder:
+    """`second_order` in NumPy; it also says what is wrong where compiled code only sees that something is."""
     w_i, w_j, n = proximity.witness_i_m, proximity.witness_j_m, proximity.normal
     i = _motion(geometry, data, geometry.moves_i, geometry.body_i, w_i, qacc)
     j = _motion(geometry, data, geometry.moves_j, geometry.body_j, w_j, qacc)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import alike, finite
+from workcell.control.kernels.library import ArrayFunction
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
@@ -25,6 +26,11 @@ GRAZING_TOLERANCE = 1e-12
 Two motions that just touch have discriminant zero, which rounding turns into some 1e-16 of either
 sign. Chosen far above that, so that touching counts as a collision.
 """
+
+
+_FIRST_ORDER = ArrayFunction("reciprocal_first_order", "distance", "rate")
+_SECOND_ORDER = ArrayFunction("reciprocal_second_order", "distance", "rate", "accel")
+_SMALLEST = ArrayFunction("smallest", "kappa")
 
 
 @dataclass(frozen=True)
@@ -55,8 +61,12 @@ def reciprocal_first_order(
     Raises:
         WorkcellError: An input is not finite.
     """
+    standoff_m = _checked_standoff(standoff_m)
+    found = _FIRST_ORDER(distance_m, rate_m_s, setting=standoff_m)
+    if found is not None:
+        return found["kappa"].copy()
     distance, rate = alike(finite("distance_m", distance_m), finite("rate_m_s", rate_m_s))
-    gap = distance - _checked_standoff(standoff_m)
+    gap = distance - standoff_m
     if gap.size and gap.min() > 0.0:  # Nothing has met yet: the usual case, in a third of the time.
         with np.errstate(over="ignore"):
             return np.maximum(-rate, 0.0) / gap
@@ -89,12 +99,16 @@ def reciprocal_second_order(
     Raises:
         WorkcellError: An input is not finite.
     """
+    standoff_m = _checked_standoff(standoff_m)
+    found = _SECOND_ORDER(distance_m, rate_m_s, accel_m_s2, setting=standoff_m)
+    if found is not None:
+        return found["kappa"].copy()
     distance, rate, accel = alike(
         finite("distance_m", distance_m),
         finite("rate_m_s", rate_m_s),
         finite("accel_m_s2", accel_m_s2),
     )
-    gap = distance - _checked_standoff(standoff_m)
+    gap = distance - standoff_m
     ahead = gap > 0.0
     reach = np.where(ahead, gap, 1.0)
     # Both terms of the discriminant are divided by the larger one's size, so that squaring
@@ -134,6 +148,9 @@ def smallest(kappa_per_s: ArrayLike) -> SmallestTtc:
     Raises:
         WorkcellError: A reciprocal is NaN or negative.
     """
+    found = _SMALLEST(kappa_per_s)
+    if found is not None:
+        return SmallestTtc(found["ttc"].item(), found["pair"].item())
     kappa = np.asarray(kappa_per_s, dtype=float)
     if kappa.size == 0:
         return SmallestTtc(ttc_s=np.inf, pair=-1)
