@@ -145,13 +145,13 @@ class Human(_Table):
     kind: Literal["human"]
     sites: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.2
-    acceleration_m_s2: Positive = 1.0
+    acceleration_m_s2: Positive = 0.5
     pause_s: tuple[Positive, Positive] = (0.3, 2.0)
     stop_probability: Probability = 0.3
     withdraw_probability: Probability = 0.1
     withdraw_m: Vector3 = (0.0, 0.0, 0.10)
     withdraw_speed_m_s: Positive = 0.4
-    withdraw_acceleration_m_s2: Positive = 3.0
+    withdraw_acceleration_m_s2: Positive = 1.5
     elbow_probability: Probability = 0.1
     elbow_shift_m: Positive = 0.05
     tremor_m: NonNegative = 6e-5

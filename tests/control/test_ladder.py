@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+
 import pytest
 
 from workcell.control.ladder import (
@@ -22,20 +24,28 @@ ALL_ATTEMPTS_S = ATTEMPT_S * len(ATTEMPTS)
 
 
 def stand(
-    ladder: Ladder, seconds: float, *, factor=0.0, clock_s=1.0, moving=True, pressed=False
+    ladder: Ladder, seconds: float, *, clock_s=1.0, moving=True, pressed=False, out_of_reach=False
 ) -> list[Rung]:
     """A path whose clock stands still."""
     return [
-        ladder.climb(pressed=pressed, factor=factor, clock_s=clock_s, moving=moving)
+        ladder.climb(pressed=pressed, clock_s=clock_s, moving=moving, out_of_reach=out_of_reach)
         for _ in range(round(seconds / DT))
+    ]
+
+
+def creep(ladder: Ladder, seconds: float, rate: float) -> list[Rung]:
+    """A path whose clock goes at a fraction of the time."""
+    return [
+        ladder.climb(pressed=False, clock_s=1.0 + k * rate * DT, moving=True)
+        for k in range(1, round(seconds / DT) + 1)
     ]
 
 
 def test_an_arm_under_pressure_gives_way_at_once_and_lingers():
     ladder = Ladder(period_s=DT)
-    (first,) = stand(ladder, DT, factor=1.0, pressed=True)
+    (first,) = stand(ladder, DT, pressed=True)
     assert first.yielding
-    after = [rung.yielding for rung in stand(ladder, 1.0, factor=1.0)]
+    after = [rung.yielding for rung in stand(ladder, 1.0)]
     assert sum(after) * DT == pytest.approx(YIELD_LINGER_S, abs=DT)
     assert after == sorted(after, reverse=True), "left once, not on and off"
 
@@ -44,8 +54,7 @@ def test_pressure_that_comes_and_goes_is_one_giving_way():
     """A hand that trembles at 8 Hz must not make the arm start and stop with it."""
     ladder = Ladder(period_s=DT)
     yielding = [
-        ladder.climb(pressed=k % 8 == 0, factor=1.0, clock_s=0.0, moving=True).yielding
-        for k in range(256)
+        ladder.climb(pressed=k % 8 == 0, clock_s=0.0, moving=True).yielding for k in range(256)
     ]
     assert all(yielding)
 
@@ -56,7 +65,9 @@ def test_an_arm_told_not_to_yield_does_not():
 
 
 def test_a_standstill_becomes_an_impasse_after_its_time_and_is_tried_in_order():
-    rungs = stand(Ladder(period_s=DT), IMPASSE_S + ALL_ATTEMPTS_S + 1.0)
+    ladder = Ladder(period_s=DT)
+    ladder.climb(pressed=False, clock_s=1.0, moving=True)
+    rungs = stand(ladder, IMPASSE_S + ALL_ATTEMPTS_S + 1.0)
     found = next(k for k, rung in enumerate(rungs) if rung.impasse)
     assert (found + 1) * DT == pytest.approx(IMPASSE_S)
     assert all(rung.impasse for rung in rungs[found:])
@@ -78,9 +89,9 @@ def test_the_path_pauses_in_the_first_part_of_attempts_that_move_the_elbow_only(
 
 def test_progress_ends_an_impasse_and_creeping_does_not():
     ladder = Ladder(period_s=DT)
-    assert stand(ladder, IMPASSE_S)[-1].impasse
-    assert stand(ladder, 1.0, factor=1.0, clock_s=1.0 + 0.9 * PROGRESS_S)[-1].impasse
-    assert not stand(ladder, DT, factor=1.0, clock_s=1.0 + PROGRESS_S)[-1].impasse
+    assert stand(ladder, DT + IMPASSE_S)[-1].impasse
+    assert stand(ladder, 1.0, clock_s=1.0 + 0.9 * PROGRESS_S)[-1].impasse
+    assert not stand(ladder, DT, clock_s=1.0 + PROGRESS_S)[-1].impasse
     assert not stand(ladder, IMPASSE_S - DT)[-1].impasse, "the time counts from anew"
     assert stand(ladder, DT)[-1].impasse
 
@@ -95,22 +106,51 @@ def test_backing_off_is_no_progress():
 
 @pytest.mark.parametrize(
     "state",
-    [
-        {"moving": False},
-        {"factor": STANDSTILL_FACTOR},
-        {"pressed": True},
-    ],
-    ids=["waiting", "slow but moving", "giving way"],
+    [{"moving": False}, {"pressed": True}],
+    ids=["waiting", "giving way"],
 )
 def test_what_is_no_impasse(state):
     assert not any(rung.impasse for rung in stand(Ladder(period_s=DT), 2 * IMPASSE_S, **state))
 
 
-def test_one_free_tick_makes_the_time_to_an_impasse_count_from_anew():
+def test_creeping_is_no_impasse_and_standing_as_good_as_still_is():
+    creeping = creep(Ladder(period_s=DT), 2 * IMPASSE_S, 1.01 * STANDSTILL_FACTOR)
+    assert not any(rung.impasse for rung in creeping)
+    assert creep(Ladder(period_s=DT), 2 * IMPASSE_S, 0.99 * STANDSTILL_FACTOR)[-1].impasse
+
+
+def test_progress_makes_the_time_to_an_impasse_count_from_anew():
     ladder = Ladder(period_s=DT)
     stand(ladder, IMPASSE_S - DT)
-    stand(ladder, DT, factor=1.0)
-    assert not stand(ladder, IMPASSE_S - DT)[-1].impasse
+    assert not stand(ladder, IMPASSE_S - DT, clock_s=1.1)[-1].impasse
+
+
+def test_giving_way_and_coming_back_over_and_over_is_an_impasse_in_the_end():
+    """Only the time that it stands counts, and what was won before is not won again."""
+    ladder = Ladder(period_s=DT)
+    stand(ladder, DT)
+    for _ in range(8):
+        assert not ladder.climb(pressed=False, clock_s=1.0, moving=True).attempt
+        stand(ladder, 1.0, clock_s=0.8, pressed=True)
+        stand(ladder, YIELD_LINGER_S + IMPASSE_S / 8, clock_s=0.8)
+    assert stand(ladder, DT)[-1].impasse
+
+
+def test_a_target_out_of_reach_is_no_matter_of_the_elbow():
+    ladder = Ladder(period_s=DT)
+    rungs = stand(ladder, IMPASSE_S + 2 * ATTEMPT_S + 1.0, out_of_reach=True)
+    tried = [attempt for attempt, _ in groupby(rung.attempt for rung in rungs)]
+    assert tried == ["", "back_off", "re_enter", ""]
+
+
+def test_a_new_path_of_the_same_job_loses_nothing_and_wins_nothing():
+    ladder = Ladder(period_s=DT)
+    stand(ladder, IMPASSE_S - DT)
+    ladder.replanned()
+    assert stand(ladder, 2 * DT, clock_s=0.0)[-1].impasse
+    ladder.replanned()
+    assert stand(ladder, DT, clock_s=0.9 * PROGRESS_S)[-1].impasse
+    assert not stand(ladder, DT, clock_s=1.1 * PROGRESS_S)[-1].impasse
 
 
 def test_a_new_path_forgets_what_stood_in_the_way_of_the_old_one():

@@ -74,12 +74,18 @@ class ControlledArm:
         self.target: Target = standing(position, wxyz)
         self.elbow_speed_m_s = 0.0
         """Speed at which the operator wants the elbow to swing to the left."""
-        self.command_rad_s = np.zeros(len(handles.dofs))
+        self.command_rad_s = self.command_before_rad_s = np.zeros(len(handles.dofs))
+        """(n,) commanded now, and in the tick before."""
         self.wanted_rad_s = np.zeros(len(handles.dofs))
-        self.task_rad_s = np.zeros(len(handles.dofs))
+        self.task_rad_s = self.followed_rad_s = np.zeros(len(handles.dofs))
+        """(n,) the smallest motion that does what the target asks, and what the joint limits let through of it."""
         self.factor = 1.0
+        self.kept_other_m_s = np.zeros(0)
+        """Rates that the others caused in the owned pairs when every time to collision was last kept."""
         self.paused = False
         """Whether the path stands still while self-motion is tried against an impasse."""
+        self.held = False
+        """Whether the path stands still until the tool has come back to it."""
         self.meeting_key: object = None
         self.meeting_pairs = none
         self.tried_entry = False

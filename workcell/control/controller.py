@@ -60,8 +60,11 @@ LEAVING_FACTOR = 2.0
 """An arm that could go this many times faster before any pair limited it is leaving: its factor need not rise slowly."""
 PRESSED_M_S = 1e-3
 """Opening rate another arm's motion must leave missing before this arm gives way; above servo noise, below any intent."""
+PRESSED_MEETING_M_S = 0.03
+"""The same for what is meant to meet, where a hand is near that trembles: 0.1 mm at 10 Hz move at up to 20 mm/s."""
 REJOIN_M = 0.02
-"""Off its path by more than this, after giving way, an arm first comes back before the path's clock goes on."""
+"""Off its path by more than this, after giving way, an arm first comes back before the path's clock goes on.
+A retreat does not: what it has to come back to is what it is to get away from."""
 ELBOW_PUSH = 0.25
 """Strength of the push to one side; chosen so that the elbow swings at about 0.5 rad/s at the default criterion gain."""
 FIXED_ELBOW_M2 = 1e-6
@@ -101,6 +104,7 @@ class Controller:
         self._silent = np.zeros(len(cell.pairs), dtype=bool)
         self._some_silent = False
         self._share_pairs()
+        self._keeps_rule = cell.scenario.sabotage.factor_multiplier == 1.0
         self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
         self._failure: BaseException | None = None
@@ -302,13 +306,18 @@ class Controller:
                 if self.tick:
                     self._advance(arm, arm.jobs, record, proximity)
                 arm.target = arm.jobs.target()
-                if arm.paused:
+                if arm.paused or arm.held:
                     arm.target = standing(arm.target.position_m, arm.target.wxyz)
+                elif arm.attempt == "back_off":
+                    arm.target = arm.target.reversed()
                 row.job, row.path_s = arm.jobs.name, arm.jobs.clock_s
                 if arm.jobs.switched:
                     # The new path starts from rest: acceleration now counts from what was really commanded.
                     arm.wanted_rad_s = arm.command_rad_s
-                    arm.ladder.restart()
+                    if arm.jobs.began:
+                        arm.ladder.restart()
+                    else:
+                        arm.ladder.replanned()
             elif arm.operator is not None:
                 wish = arm.operator.wish(record.time_s)
                 arm.target = wish.target
@@ -341,11 +350,8 @@ class Controller:
         """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
         around = self._around(arm, record, proximity)
         off_path = math.dist(record.arms[arm.handles.name].tool_position_m, arm.target.position_m)
-        jobs.advance(
-            self._dt,
-            0.0 if arm.paused or (off_path > REJOIN_M and arm.factor > 0.0) else arm.factor,
-            around,
-        )
+        arm.held = off_path > REJOIN_M and arm.factor > 0.0 and not jobs.retreats
+        jobs.advance(self._dt, 0.0 if arm.paused or arm.held else arm.factor, around)
         if self._settings.entry:
             jobs.prefer(self._settings.entry, around)
         if arm.attempt == "re_enter" and not arm.tried_entry:
@@ -380,6 +386,9 @@ class Controller:
         for arm in self._priority:
             arm.wanted_rad_s = arm.command_rad_s
             arm.command_rad_s = arm.task_rad_s
+            arm.ik.limit.previous_rad_s = arm.wanted_rad_s
+            low, high = arm.ik.limit.bounds(self._belief.data.qpos[arm.handles.qpos], self._dt)
+            arm.followed_rad_s = np.clip(arm.task_rad_s, low, high)
 
     def _steer(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
@@ -400,9 +409,9 @@ class Controller:
         bound = self._bound(arm, proximity, own, other[owned])
         rung = arm.ladder.climb(
             pressed=self._pressed(arm, bound, proximity, own, other[owned]),
-            factor=bound.factor,
-            clock_s=0.0 if arm.jobs is None else arm.jobs.clock_s,
+            clock_s=0.0 if arm.jobs is None else arm.jobs.progress_s,
             moving=arm.jobs is not None and arm.jobs.moving,
+            out_of_reach=arm.held and bound.factor == 1.0,
         )
         arm.attempt = row.attempt = rung.attempt
         arm.paused = rung.paused
@@ -412,9 +421,7 @@ class Controller:
             self._yield(arm, row, proximity, other)
             return
         wanted = arm.wanted_rad_s
-        if rung.attempt == "back_off":
-            wanted = -wanted
-            bound = self._bound(arm, proximity, -own, other[owned])
+        arm.command_before_rad_s = arm.command_rad_s
         interval = acceleration_interval(
             arm.command_rad_s, wanted, arm.handles.acceleration_limit_rad_s2, self._dt
         )
@@ -423,6 +430,10 @@ class Controller:
         )
         factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
         arm.command_rad_s = factor * wanted
+        reason = "" if choice.limiter == "none" else choice.limiter
+        if self._settings.slow_down == "ttc" and self._keeps_rule:
+            factor, forced = self._keep(arm, factor, wanted, proximity, other[owned])
+            reason = "other_arm" if forced else reason
         arm.factor = -factor if rung.attempt == "back_off" else factor
         row.scale = arm.factor
         if bound.factor == 0.0 and not rung.attempt and self._path_is_free(arm, proximity, other):
@@ -430,12 +441,68 @@ class Controller:
             # itself leads away, its clock goes on: an arm that waited for its clock, and the
             # clock for the arm, would never leave.
             arm.factor = 1.0
-        row.reason = "" if choice.limiter == "none" else choice.limiter
-        if bound.shortfall_m_s > 0.0:
-            row.reason = "other_arm"
+        row.reason = "other_arm" if bound.shortfall_m_s > 0.0 else reason
         row.mode = self._mode_of_support(arm, row, proximity)
         if row.mode == "scale" and rung.impasse and not rung.attempt:
             row.mode = "hold"  # whatever was to be tried has been
+
+    def _keep(
+        self,
+        arm: ControlledArm,
+        factor: float,
+        wanted_rad_s: NDArray[np.float64],
+        proximity: Proximity,
+        other: NDArray[np.float64],
+    ) -> tuple[float, bool]:
+        """Leave the path where the joints cannot slow down along it as fast as the times to collision ask.
+
+        One joint that already brakes as hard as it can keeps the factor up for all; the others can
+        still do more. The tool comes back to its path by its own correction. A pair that
+        standing does not keep is for giving way to; here it may only not be closed.
+
+        Returns:
+            The share of the wanted velocity that the command has, in [0, 1]; and whether a time falls
+            short all the same, for nothing but what the others do: they close too fast for an arm
+            that stands, or faster than when every time was last kept.
+        """
+        rows = _rows(proximity, arm.owned_pairs, arm)
+        counted, reached = self._counted(arm, proximity)
+        allowance = (counted - self._settings.standoff_m) / self._settings.t_min_s
+        slack = np.where(reached, AT_REST_M_S, TASK_SLACK_M_S)
+        needed = np.minimum(-allowance - other, 0.0)
+        if (rows @ arm.command_rad_s < needed - slack).any():
+            velocity = arm.ik.evade(
+                self._belief, arm.command_before_rad_s, arm.command_rad_s, rows, needed
+            )
+            if velocity is None:
+                velocity = brake(
+                    arm.command_before_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
+                )
+            arm.command_rad_s = velocity
+            along = float(velocity @ wanted_rad_s)
+            factor = min(1.0, max(0.0, along / max(float(wanted_rad_s @ wanted_rad_s), 1e-12)))
+        short = allowance + other + rows @ arm.command_rad_s < -slack
+        if not short.any():
+            arm.kept_other_m_s = other
+            return factor, False
+        before = arm.kept_other_m_s if len(arm.kept_other_m_s) == len(other) else other
+        alone = allowance + other < 0.0
+        kept = allowance + before + rows @ arm.command_rad_s >= -slack
+        return factor, bool((alone | kept)[short].all())
+
+    def _counted(
+        self, arm: ControlledArm, proximity: Proximity
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """(R,) distances that the rule counts with for the pairs an arm answers for, and whether each is at d_min.
+
+        From there on no way is left, but for what is meant to meet.
+        """
+        counted = proximity.distance_m.take(arm.owned_pairs)
+        reached = counted <= self._settings.d_min_m
+        if reached.any():
+            reached &= ~np.isin(arm.owned_pairs, self._meeting_pairs(arm))
+            counted = np.where(reached, np.minimum(counted, 0.0), counted)
+        return counted, reached
 
     def _pressed(
         self,
@@ -449,10 +516,12 @@ class Controller:
 
         Nothing it does opens a pair with its own base; to give way for that would only stop its work.
         """
-        if bound.shortfall_m_s > PRESSED_M_S and arm.standing_pairs.any():
-            other = np.where(arm.standing_pairs, np.maximum(other, 0.0), other)
-            bound = self._bound(arm, proximity, own, other)
-        return bound.shortfall_m_s > PRESSED_M_S
+        if bound.shortfall_m_s <= PRESSED_M_S:
+            return False
+        spared = other + np.isin(arm.owned_pairs, self._meeting_pairs(arm)) * PRESSED_MEETING_M_S
+        if arm.standing_pairs.any():
+            spared[arm.standing_pairs] = np.maximum(spared[arm.standing_pairs], 0.0)
+        return self._bound(arm, proximity, own, spared).shortfall_m_s > PRESSED_M_S
 
     def _path_is_free(
         self, arm: ControlledArm, proximity: Proximity, other: NDArray[np.float64]
@@ -494,11 +563,8 @@ class Controller:
     ) -> ScaleBound:
         """The pairwise rule; pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
         settings = self._settings
-        counted = proximity.distance_m.take(arm.owned_pairs)
-        reached = counted <= settings.d_min_m
+        counted, reached = self._counted(arm, proximity)
         if reached.any():
-            reached &= ~np.isin(arm.owned_pairs, self._meeting_pairs(arm))
-            counted = np.where(reached, np.minimum(counted, 0.0), counted)
             own, other = (
                 np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
             )
@@ -607,12 +673,19 @@ class Controller:
             return self._elbow_swing(arm)
         pairs = arm.criterion_pairs
         rows = _rows(proximity, pairs, arm)
-        return criteria.objective(
+        objective = criteria.objective(
             self._settings.criterion,
             proximity.distance_m.take(pairs),
             rows @ record.qvel[arm.dofs] if arm.support else record.pair_rate_m_s.take(pairs),
             rows,
             other_rate_m_s=other.take(pairs),
+        )
+        gain = arm.ik.criterion.gain
+        if self._settings.criterion == "none" or gain == 0.0:
+            return objective
+        handles = arm.handles
+        return criteria.with_room_to_stops(
+            objective, record.qpos[handles.qpos], handles.lower_rad, handles.upper_rad, gain
         )
 
     def _elbow_swing(self, arm: ControlledArm) -> NullspaceObjective:
@@ -641,19 +714,18 @@ class Controller:
     def _rate_of_others(self, arm: ControlledArm, proximity: Proximity) -> NDArray[np.float64]:
         """(P,) the part of each pair's rate that the other arms cause, as far as this arm may count on it.
 
-        A support arm counts on the less favourable of what another arm plans and what it was last
-        commanded: joint limits may keep an arm from doing at once what its operator asks.
+        A support arm counts on the least favourable of what another arm's operator asks, what its joints
+        can follow of that, and what it was last commanded: they may keep it from doing at once what is asked.
         """
-        now, before = np.zeros(self.cell.model.nv), np.zeros(self.cell.model.nv)
+        ways = np.zeros((self.cell.model.nv, 3))
         for other in self._arms:
             if other is not arm:
-                now[other.dofs] = other.command_rad_s
-                before[other.dofs] = (
-                    other.wanted_rad_s if not other.support else other.command_rad_s
-                )
+                ways[other.dofs, 0] = other.command_rad_s
+                ways[other.dofs, 1] = other.command_rad_s if other.support else other.wanted_rad_s
+                ways[other.dofs, 2] = other.command_rad_s if other.support else other.followed_rad_s
         if not arm.support:
-            return proximity.jacobian @ now
-        return np.minimum(proximity.jacobian @ now, proximity.jacobian @ before)
+            return proximity.jacobian @ ways[:, 0]
+        return (proximity.jacobian @ ways).min(axis=1)
 
     def _mode_of_support(self, arm: ControlledArm, row: ArmRecord, proximity: Proximity) -> str:
         jobs = arm.jobs

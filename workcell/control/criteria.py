@@ -43,6 +43,12 @@ ranking distances means nothing. `floored` tells which pairs were affected.
 """
 
 
+STOP_MARGIN_RAD = 0.2
+"""A joint nearer to its stop than this is pushed back in the null space; chosen as what a tool that works at one place moves it by."""
+STOP_PUSH_RAD_S = 1.0
+"""Push at the stop itself, falling with the square of the way into the margin; above what the criteria push with."""
+
+
 @dataclass(frozen=True)
 class NullspaceObjective:
     """Minimising 1/2 q' H q' + c' q' over joint velocities q' descends a criterion."""
@@ -152,6 +158,34 @@ def objective(
     elif criterion != "none":
         raise WorkcellError(f"criterion is {criterion!r}; must be one of {', '.join(CRITERIA)}")
     return NullspaceObjective(hessian=hessian, linear=linear)
+
+
+def with_room_to_stops(
+    objective: NullspaceObjective,
+    q_rad: ArrayLike,
+    lower_rad: ArrayLike,
+    upper_rad: ArrayLike,
+    weight: float,
+) -> NullspaceObjective:
+    """The same objective with a push of every joint away from a stop that is near.
+
+    A criterion that always prefers one side would lead a joint to its stop and keep it there, and the
+    arm would be one joint short for what its tool has to do.
+
+    Args:
+        objective: The criterion's.
+        q_rad: Joint positions (n,).
+        lower_rad, upper_rad: Stops (n,), infinite where there is none.
+        weight: Weight of the criterion against 1/2 |q'|^2, > 0: the push is a velocity, and does not
+            grow with it.
+    """
+    q = finite("q_rad", q_rad)
+    below = np.maximum(STOP_MARGIN_RAD - (q - lower_rad), 0.0) / STOP_MARGIN_RAD
+    above = np.maximum(STOP_MARGIN_RAD - (upper_rad - q), 0.0) / STOP_MARGIN_RAD
+    if not (below.any() or above.any()):
+        return objective
+    push = STOP_PUSH_RAD_S * (below * below - above * above)
+    return NullspaceObjective(objective.hessian, objective.linear - push / weight)
 
 
 def floored(distance_m: ArrayLike) -> NDArray[np.bool_]:

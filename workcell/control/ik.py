@@ -42,6 +42,9 @@ _EQUALITY, _SOFT = 5, 8  # daqp's marks of constraints: met exactly; violated as
 TASK_COST = 1e3
 """Weight of the tool task where it cannot be an equality, against 1 for the motion of the joints: the
 tool then gives way by about 1e-6 of what the criterion asks for."""
+SOFT_TASK_COST = 50.0
+"""The same where the tool has to give way to the joint limits: a direction in which a metre a second takes the joints
+more than 50 rad/s is let go, so that an arm at the end of its reach does not thrash; others lose 0.2 %."""
 LEAST_MOTION_DAMPING = 1e-6
 """Regularises the least-norm solution near singular configurations; small against J Jᵀ of order 0.1."""
 
@@ -262,7 +265,6 @@ class ArmIk:
         self.limit = JointLimit(arm, nv=nv)
         self.ttc = TtcLimit(t_min_s=1.0)
         self._eye = np.eye(len(arm.dofs))
-        self._no_rows = np.zeros((0, len(arm.dofs))), np.zeros(0)
         self._tool_rows = np.zeros((6, len(arm.dofs)))
         self._tool_rates = np.zeros(6)
         self._program_space = _Space(len(arm.dofs))
@@ -406,11 +408,18 @@ class ArmIk:
         velocity, status = self._program(H, c, rows, smallest_rate_m_s, hard_tool=True), OPTIMAL
         if velocity is None:
             velocity, status = (
-                self._program(self._eye, np.zeros_like(c), *self._no_rows, hard_tool=True),
+                self._program(
+                    self._eye,
+                    np.zeros_like(c),
+                    rows,
+                    smallest_rate_m_s,
+                    hard_tool=True,
+                    soft_rows=True,
+                ),
                 TASK_ONLY,
             )
         if velocity is None:
-            weighted = TASK_COST**2 * self._tool_rows.T
+            weighted = SOFT_TASK_COST**2 * self._tool_rows.T
             H, c = self._eye + weighted @ self._tool_rows, -weighted @ self._tool_rates
             velocity = self._program(H, c, rows, smallest_rate_m_s, hard_tool=False, soft_rows=True)
             status = TASK_SOFT

@@ -5,9 +5,10 @@
     yield     another arm's own motion brings a pair below t_min even if this arm stands:
               back up along the path, else move so that the near pairs open
               (entered at once, left YIELD_LINGER_S after the last such tick)
-    impasse   scaled down to a standstill for IMPASSE_S without progress: attempts in turn to get
-              past (self-motion with the path stopped, free the tool's rotation, push the elbow to either side, back off, come in from another side), each for
-              ATTEMPT_S or until the path goes on
+    impasse   the path's clock has stood for IMPASSE_S in all, giving way aside, since it was last ahead of
+              where it had been: attempts in turn to get past (self-motion with the path stopped, free the
+              tool's rotation, push the elbow to either side, back off, come in from another side), each
+              for ATTEMPT_S or until the path goes on
     hold      every attempt is used up: stand and wait; motion resumes when the way is free
     halt      d <= d_min, or the final check's verdict
 
@@ -22,7 +23,8 @@ YIELD_LINGER_S = 0.2
 """How long a yielding arm keeps out of the way after the need has passed; chosen so that a hand that
 trembles or stops for a moment does not make the arm start and stop with it."""
 STANDSTILL_FACTOR = 0.02
-"""Factor below which an arm makes no progress worth the name: at 0.15 m/s, 3 mm/s."""
+"""Rate of the path's clock below which it stands: at 0.15 m/s, 3 mm/s. Whether a small factor, a tool that is
+off its path or a target out of reach holds it makes no difference."""
 IMPASSE_S = 2.0
 """How long a standstill lasts before it is called an impasse; chosen as what a person waits before asking."""
 ATTEMPT_S = 3.0
@@ -65,34 +67,50 @@ class Ladder:
         self.restart()
 
     def restart(self) -> None:
-        """A new path: whatever stood in the way of the old one does not count."""
+        """Another job: whatever stood in the way of the one before does not count."""
         self._stuck_s = 0.0
         self._attempt = -1
         self._attempt_s = 0.0
+        self._before_s = 0.0
+        self._clock_s = 0.0
+        self._farthest_s = 0.0
+
+    def replanned(self) -> None:
+        """Another path of the same job, whose clock starts from 0: what was won so far stays won."""
+        self._before_s += self._clock_s
         self._clock_s = 0.0
 
-    def climb(self, *, pressed: bool, factor: float, clock_s: float, moving: bool) -> Rung:
+    def climb(
+        self, *, pressed: bool, clock_s: float, moving: bool, out_of_reach: bool = False
+    ) -> Rung:
         """Decide the rung.
 
         Args:
             pressed: Another arm's own motion brings a pair below t_min even if this arm stands.
-            factor: The factor the pairwise rule allows now.
             clock_s: The path's clock.
             moving: Whether the job wants motion at all (a waiting arm is never at an impasse).
+            out_of_reach: The tool stays off its path though no pair holds it: self-motion is no way out.
         """
         self._linger_s = YIELD_LINGER_S if pressed else max(0.0, self._linger_s - self._period_s)
         yielding = self._yields and self._linger_s > 0.0
+        stands = clock_s - self._clock_s < STANDSTILL_FACTOR * self._period_s
+        self._clock_s = clock_s
         if not moving or not self._resolves:
             self._stuck_s = 0.0
             return Rung(yielding, "", False, False)
+        ahead_s = self._before_s + clock_s - self._farthest_s
         if self._attempt < 0:
-            stuck = factor < STANDSTILL_FACTOR and not yielding
-            self._stuck_s = self._stuck_s + self._period_s if stuck else 0.0
+            if not stands and ahead_s > 0.0:
+                self._stuck_s, self._farthest_s = 0.0, self._before_s + clock_s
+            elif stands and not yielding:
+                self._stuck_s += self._period_s
             if self._stuck_s >= IMPASSE_S:
-                self._attempt, self._attempt_s, self._clock_s = 0, 0.0, clock_s
-        elif clock_s >= self._clock_s + PROGRESS_S:
-            self.restart()
-        else:
+                self._attempt = ATTEMPTS.index("back_off") if out_of_reach else 0
+                self._attempt_s = 0.0
+        elif ahead_s >= PROGRESS_S:
+            self._stuck_s, self._attempt = 0.0, -1
+            self._farthest_s = self._before_s + clock_s
+        elif not yielding:
             self._attempt_s += self._period_s
             if self._attempt_s >= ATTEMPT_S:
                 self._attempt, self._attempt_s = self._attempt + 1, 0.0

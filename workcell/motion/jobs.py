@@ -120,12 +120,15 @@ class JobSequence:
         self._met = False
         self._entry: scenario.Entry | None = None
         self._preferred: scenario.Entry | None = None
+        self._entries_tried = 0
         self._since_plan_s = 0.0
         self.clock_s = 0.0
         self.finished = 0
         """How many jobs have been done."""
         self.switched = False
         """Whether the last `advance` began another path or stopped one short: motion starts again from rest."""
+        self.began = False
+        """Whether the last `advance` began another job."""
         self.hand_over: HandOver | None = None
         """What changed hands in the last `advance`."""
 
@@ -165,6 +168,16 @@ class JobSequence:
         return bool(self._legs) and not self._met
 
     @property
+    def retreats(self) -> bool:
+        """Whether the present job is to get away."""
+        return isinstance(self._current, scenario.Retreat)
+
+    @property
+    def progress_s(self) -> float:
+        """The clock as far as it means motion: at the end of a path it may go on, while the tool stands."""
+        return min(self.clock_s, self._legs[0].path.duration_s) if self._legs else self.clock_s
+
+    @property
     def free_rotation(self) -> bool:
         """Whether the job leaves the rotation about the tool's axis free."""
         job = self._current
@@ -198,16 +211,20 @@ class JobSequence:
             self.enter_from(entry, around)
 
     def try_another_entry(self, around: Surroundings) -> bool:
-        """Present from the next side in the order of `ENTRIES`; False if nothing is being presented."""
+        """Present from the next side in the order of `ENTRIES`, once round and back to the first.
+
+        False if nothing is being presented, or each side has been tried: then the one asked for is kept.
+        """
         job = self._current
-        if not isinstance(job, scenario.Present):
+        if not isinstance(job, scenario.Present) or self._entries_tried == len(ENTRIES):
             return False
+        self._entries_tried += 1
         now = self._entry or job.entry
         return self.enter_from(ENTRIES[(ENTRIES.index(now) + 1) % len(ENTRIES)], around)
 
     def advance(self, step_s: float, factor: float, around: Surroundings) -> None:
         """Let time pass: `step_s` of the run, of which the path's clock gets the granted factor."""
-        self.switched, self.hand_over = False, None
+        self.switched, self.began, self.hand_over = False, False, None
         job = self._current
         if job is None and self.done:
             return
@@ -270,8 +287,9 @@ class JobSequence:
 
     def _next(self, around: Surroundings) -> None:
         self._index += 1
-        self.clock_s, self._met, self._legs, self.switched = 0.0, False, [], True
-        self._entry = self._preferred
+        self.clock_s, self._met, self._legs = 0.0, False, []
+        self.switched = self.began = True
+        self._entry, self._entries_tried = self._preferred, 0
         job = self._current
         if job is None or isinstance(job, scenario.Wait):
             self._target = standing(self._target.position_m, self._target.wxyz)

@@ -41,6 +41,10 @@ class Target:
     angular_velocity_rad_s: NDArray[np.float64]
     """(3,)"""
 
+    def reversed(self) -> Target:
+        """The same pose on the way back."""
+        return Target(self.position_m, self.wxyz, -self.velocity_m_s, -self.angular_velocity_rad_s)
+
 
 def standing(position_m: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Target:
     """A target that does not move."""
