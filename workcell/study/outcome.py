@@ -37,6 +37,8 @@ AFTER_DONE_S = 1.0
 """Simulated time a run goes on after its last job is done; chosen as the default t_min."""
 SHORT_SHARE = 0.99
 """A commanded time to collision below this share of t_min is too short; the bound of the scenarios' `[expect]`."""
+STANDING_RAD_S = 1e-4
+"""An arm whose joints are all commanded slower stands: at a reach of 1 m, 0.1 mm/s."""
 WAITING_JOBS = ("wait", "dwell", "done")
 """Jobs in which standing still is what was asked."""
 
@@ -190,7 +192,7 @@ def _measure(
     done = all(str(trace[f"{arm}.job"][-1]) == "done" for arm in support)
     halt = None if ending.check is None else ending.check["halt"]
     contact = judge.contact
-    short = _short(trace)
+    short = _short(trace, support)
     return Outcome(
         run=run,
         setting=setting,
@@ -223,9 +225,13 @@ def _measure(
     )
 
 
-def _short(trace: Trace) -> NDArray[np.bool_]:
-    """Ticks at which the support arms' own commands leave less than t_min, (T,)."""
-    own = metrics.answered_for(trace)
+def _short(trace: Trace, support: list[str]) -> NDArray[np.bool_]:
+    """Ticks at which the support arms' own commands leave less than t_min, (T,); arms that stand leave what they may."""
+    moving = np.zeros(len(trace), dtype=bool)
+    for arm in support:
+        command = trace["command_rad_s"][:, metrics.joint_columns(trace, arm)]
+        moving |= np.abs(command).max(axis=1, initial=0.0) > STANDING_RAD_S
+    own = metrics.answered_for(trace) & moving
     return own & (np.where(own, trace["ttc_command_s"], np.inf) < SHORT_SHARE * trace["t_min_s"])
 
 
