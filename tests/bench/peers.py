@@ -201,7 +201,7 @@ def _plain_scene(cell: Cell, folder: Path) -> Path:
     """scene.xml as text, less what a parser stumbles over; no length or angle in it is touched.
 
     Kept are bodies, joints and the watched geoms. What is changed: the geoms get contact bits,
-    without which Drake would not take them as collision geometry; what stands gets a fixed body
+    without which Drake and Pinocchio drop them from collision geometry; what stands gets a fixed body
     each, as Drake tells rows apart by body; and all of it one fixed body as parent, as Pinocchio
     reads no more than the first tree of a world.
     """
