@@ -398,6 +398,18 @@ def test_the_box_of_the_joints_is_the_same(cell, seed):
     np.testing.assert_allclose(compiled.high, high, rtol=1e-13, atol=1e-13)
 
 
+@given(
+    st.lists(st.tuples(NUMBER, st.sampled_from([0.0, 5e-10, -5e-10, 2e-9, -1.0, 1.0])), min_size=1)
+)
+def test_what_is_on_a_bound_but_for_the_solvers_tolerance_is_set_on_it(rows):
+    bound, offset = np.array(rows).T.copy()
+    for low, high in ((bound, bound + 1.0), (bound - 1.0, bound)):
+        mine, theirs = both(lambda low=low, high=high: ik._within(bound + offset, low, high))
+        np.testing.assert_array_equal(mine, theirs)
+        assert ((mine >= low) & (mine <= high)).all()
+        assert (mine == bound)[np.abs(offset) <= 5e-10].all()
+
+
 # ---------------------------------------------------------------- which is used
 
 

@@ -204,5 +204,16 @@ SIGNATURES: dict[str, Signature] = {
         answer        i 1
         """,
     ),
+    "settle": _signature(
+        "dofs",
+        """
+        velocity      f dofs
+        low           f dofs
+        high          f dofs
+        setting       f 1
+        settled       f dofs
+        answer        i 1
+        """,
+    ),
 }
 """By the name of the function in `source`."""

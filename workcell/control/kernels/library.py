@@ -177,8 +177,8 @@ class ArrayFunction(threading.local):
             for name, length in zip(shape, lengths, strict=True):
                 if sizes.setdefault(name, length) != length:
                     return None
-        if not sizes["pairs"]:
-            return None
+        if not all(length for lengths in given for length in lengths):
+            return None  # nothing to compute with
         if len(self._ready) >= KEPT_SHAPES:
             self._ready.clear()
         bound = found.bind(self._function, sizes)

@@ -699,6 +699,18 @@ def prepare(
 
 
 @_compiled
+def settle(dofs, velocity, low, high, setting, settled, answer):
+    """`ik._within`; the setting is the solver's tolerance."""
+    answer[0] = DONE
+    for k in range(dofs):
+        settled[k] = velocity[k]
+        if velocity[k] <= low[k] + setting[0]:
+            settled[k] = low[k]
+        if velocity[k] >= high[k] - setting[0]:
+            settled[k] = high[k]
+
+
+@_compiled
 def _braking(distance, acceleration, fastest, period):
     """`ik._approach`, capped by the joint's largest speed."""
     if distance < 0.0:
@@ -718,5 +730,6 @@ ENTRIES = (
     objective,
     aim,
     prepare,
+    settle,
 )
 """What is called from Python; the rest is called by these."""
