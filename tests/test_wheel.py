@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -38,14 +40,16 @@ def unpacked(tmp_path_factory) -> Path:
     return folder / "site"
 
 
-def call(site: Path, cwd: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def call(
+    site: Path, cwd: Path, *arguments: str, **environment: str
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "workcell", *arguments],
         cwd=cwd,
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"PYTHONPATH": str(site)},
+        env=os.environ | {"PYTHONPATH": str(site), **environment},
     )
 
 
@@ -61,3 +65,35 @@ def test_the_wheel_lists_and_runs_from_an_empty_folder(unpacked, tmp_path):
     scene = (tmp_path / "runs" / "handover" / "scene" / "scene.xml").read_text()
     assert "surgeon" in scene
     assert str(ROOT) not in scene
+
+
+@pytest.mark.long
+def test_an_installed_wheel_compiles_into_its_own_folder_or_the_users_and_runs_with_it(
+    unpacked, tmp_path
+):
+    """Before, a run uses NumPy at once instead of waiting; after, what was compiled; also where the package may not be written to."""
+    short = ("run", "handover", "--set", "simulation.duration_s=0.1", "--set", "expect={}")
+    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "WORKCELL_KERNELS": ""}
+
+    def used() -> str:
+        ran = call(unpacked, tmp_path, *short, **cache)
+        assert ran.returncode == 0, ran.stderr + ran.stdout
+        assert ("workcell compile" in ran.stderr) == (compiled is None)
+        summary = json.loads((tmp_path / "runs" / "handover" / "summary.json").read_text())
+        return summary["versions"]["kernels"]
+
+    compiled = None
+    assert used() == "numpy"
+    done = call(unpacked, tmp_path, "compile", **cache)
+    assert done.returncode == 0, done.stderr
+    compiled = Path(done.stdout.strip())
+    assert compiled.is_relative_to(unpacked)
+    assert used().startswith("compiled by numba")
+    # Where the package's folder cannot be written (here, as root can write anywhere: is a file), the user's cache is used.
+    shutil.rmtree(compiled.parent)
+    compiled.parent.write_text("")
+    done = call(unpacked, tmp_path, "compile", **cache)
+    assert done.returncode == 0, done.stderr
+    compiled = Path(done.stdout.strip())
+    assert compiled.is_relative_to(tmp_path / "cache")
+    assert used().startswith("compiled by numba")
