@@ -20,6 +20,7 @@ from workcell.control import controller as controller_module
 from workcell.control import criteria, ttc
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
+from workcell.control.kernels import library
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.scene import cell as scene
@@ -79,6 +80,7 @@ def test_stages_of_a_run(benchmark, monkeypatch, tmp_path, order):
     pause_us = (np.array(pauses[0::2]) + np.array(pauses[1::2])) / 1e3
     benchmark.extra_info |= {
         "stages": rows,
+        "kernels": library.in_use(),
         "pairs": len(built.pairs),
         "ticks": ending.ticks,
         "times_real_time_wall": RUN_S / wall_s,
@@ -87,7 +89,7 @@ def test_stages_of_a_run(benchmark, monkeypatch, tmp_path, order):
         "longest_collection_us": float(pause_us.max(initial=0.0)),
     }
     print(
-        f"\norder {order}: {RUN_S / wall_s:.2f} x real time by the wall, {RUN_S / cpu_s:.2f} by process time; "
+        f"\n{library.in_use()}, order {order}: {RUN_S / wall_s:.2f} x real time by the wall, {RUN_S / cpu_s:.2f} by process time; "
         f"{len(pause_us)} collections, the longest {pause_us.max(initial=0.0):.0f} µs"
     )
     for name, row in rows.items():
@@ -124,8 +126,10 @@ def test_pairs_alone(benchmark, cell, states):
             ttc.smallest(ttc.reciprocal_second_order(near.distance_m, rate, accel))
 
         found[count] = {"first": timed(first, 300).told(), "second": timed(second, 300).told()}
-        print(f"\n{count} pairs: first order {found[count]['first']}, d̈ {found[count]['second']}")
-    benchmark.extra_info["pairs"] = found
+        print(
+            f"\n{library.in_use()}, {count} pairs: first order {found[count]['first']}, d̈ {found[count]['second']}"
+        )
+    benchmark.extra_info |= {"pairs": found, "kernels": library.in_use()}
     benchmark(lambda: None)
     few, many = (found[count]["first"]["cpu_median_us"] for count in (64, 4000))
     print(f"{(many - few) / (4000 - 64):.3f} µs for a further pair")

@@ -471,6 +471,19 @@ def test_compiled_code_of_another_source_or_version_is_not_used(monkeypatch):
         library._load.cache_clear()
 
 
+def test_the_object_file_alone_does_as_well_where_there_is_no_linker():
+    """LLVM then puts it into memory; the numbers are those of the same machine code."""
+    for folder in library.folders():
+        _, plain = library.files(folder)
+        if plain.is_file():
+            call = library.Kernels(plain).bind("smallest", {"pairs": 3})
+            call.arrays["kappa"][:] = 1.0, 4.0, 2.0
+            call.run()
+            assert (call.done(), call.arrays["pair"][0], call.arrays["ttc"][0]) == (0, 1, 0.25)
+            return
+    pytest.fail("there is no object file")
+
+
 def test_a_run_needs_neither_numba_nor_a_compiler():
     """Importing numba takes longer than all the rest of a cold start."""
     check = f"{SAY}\nimport sys, workcell.run\nassert 'numba' not in sys.modules"

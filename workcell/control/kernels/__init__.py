@@ -9,6 +9,6 @@ is computed and stays in use wherever nothing is compiled; tests hold both to ea
     build       source -> machine code in a file, by numba (`workcell compile`, `make install`)
     library     the file -> functions that can be called; chooses between the two
 
-A run needs only `library`, which loads the file in milliseconds: numba itself, which takes more
-than a second to import, is needed to compile and never in a run.
+A run needs only `library`, which loads the file: numba itself, which takes more than a second to import, is
+needed to compile and never in a run.
 """

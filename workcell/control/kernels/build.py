@@ -7,8 +7,9 @@ from and the names under which the functions are found in it.
 
 from __future__ import annotations
 
-import json
 import os
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -48,20 +49,15 @@ def compile_kernels() -> Path:
     """
     _start_llvm()
     whole = llvm.parse_assembly("")
-    names = {}
     for function in source.ENTRIES:
-        module, name = _module(function, SIGNATURES[function.__name__])
-        names[function.__name__] = name
-        whole.link_in(module)
+        whole.link_in(_module(function, SIGNATURES[function.__name__]))
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
         opt=3,
-        codemodel="jitdefault",
-        jit=True,
+        reloc="pic",
     )
-    code = machine.emit_object(whole)
-    return _write(code, json.dumps(names, indent=2))
+    return _write(machine.emit_object(whole))
 
 
 def _start_llvm() -> None:
@@ -69,14 +65,16 @@ def _start_llvm() -> None:
     llvm.initialize_native_asmprinter()
 
 
-def _module(function, signature: Signature) -> tuple[llvm.ModuleRef, str]:
-    """LLVM's module of one function behind an entry that takes a table, and the entry's name in it."""
+def _module(function, signature: Signature) -> llvm.ModuleRef:
+    """LLVM's module of one function behind an entry that takes a table."""
     entry = njit(types.void(types.CPointer(types.int64)), **_BARE)(_entry(function, signature))
     (text,) = entry.inspect_llvm().values()
     module = llvm.parse_assembly(text)
     name = entry.overloads[entry.signatures[0]].fndesc.llvm_func_name
     for other in module.functions:
-        if not other.is_declaration and other.name != name:
+        if other.name == name:
+            other.name = library.PREFIX + function.__name__
+        elif not other.is_declaration:
             other.linkage = "internal"  # so that what nobody calls is left out
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
@@ -94,7 +92,7 @@ def _module(function, signature: Signature) -> tuple[llvm.ModuleRef, str]:
         raise RuntimeError(
             f"{function.__name__} calls {', '.join(foreign)}, which no run could find; it must neither allocate nor raise"
         )
-    return module, name
+    return module
 
 
 _OF_EVERY_PROCESS = ("sqrt", "sin", "cos", "tan", "atan2")
@@ -116,19 +114,32 @@ def _entry(function, signature: Signature):
     return names["entry"]
 
 
-def _write(code: bytes, stamp: str) -> Path:
-    """Write into the first folder that can be written, the code last: no process sees it without its stamp."""
+def _write(code: bytes) -> Path:
+    """Write into the first folder that can be written; whole files only, whatever else runs meanwhile."""
     failure: OSError | None = None
     for folder in library.folders():
-        code_file, stamp_file = library.files(folder)
+        linked, plain = library.files(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for file, content in ((stamp_file, stamp.encode()), (code_file, code)):
-                part = file.with_suffix(f".{os.getpid()}")
-                part.write_bytes(content)
-                part.replace(file)
+            part = plain.with_suffix(f".{os.getpid()}")
+            part.write_bytes(code)
+            part.replace(plain)
         except OSError as error:
             failure = error
-        else:
-            return code_file
+            continue
+        return linked if _link(plain, linked) else plain
     raise failure or OSError("there is no folder to write to")
+
+
+def _link(plain: Path, linked: Path) -> bool:
+    """Make a shared library of the object file, if this system has what it takes."""
+    linker = shutil.which("cc")
+    if linker is None:
+        return False
+    part = linked.with_suffix(f".{os.getpid()}")
+    command = [linker, "-shared", "-o", str(part), str(plain), "-lm"]
+    if subprocess.run(command, capture_output=True, check=False).returncode != 0:
+        part.unlink(missing_ok=True)
+        return False
+    part.replace(linked)
+    return True

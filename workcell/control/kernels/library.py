@@ -11,13 +11,12 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
-import json
 import os
 import platform
 import sys
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import parent_process
 from pathlib import Path
@@ -32,6 +31,9 @@ from workcell.errors import InputError
 VARIABLE = "WORKCELL_KERNELS"
 COMMAND = "workcell compile"
 
+LINKED = ".so"
+PREFIX = "workcell_"
+"""Of the functions' names in machine code."""
 KEPT_SHAPES = 64
 """Shapes for which a function keeps its arrays; a cell needs about one an arm."""
 _DTYPES = {"f": np.float64, "i": np.int64, "m": np.intc, "b": np.bool_}
@@ -41,36 +43,34 @@ class Kernels:
     """The compiled functions of this process.
 
     Args:
-        code: Machine code, an object file.
-        names: Name of each function in it.
+        file: Of machine code: a shared library, or an object file, for which LLVM is loaded.
     """
 
-    def __init__(self, code: bytes, names: Mapping[str, str]):
-        import llvmlite.binding as llvm  # a tenth of a second, for those who use it
-
-        llvm.initialize_native_target()
-        llvm.initialize_native_asmprinter()
-        machine = llvm.Target.from_default_triple().create_target_machine(
-            codemodel="jitdefault", jit=True
-        )
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        self._engine.finalize_object()
-        entry = ctypes.PYFUNCTYPE(ctypes.c_int, *3 * (ctypes.c_void_p,))
-        self._functions = {
-            name: entry(self._engine.get_function_address(names[name])) for name in SIGNATURES
-        }
+    def __init__(self, file: Path):
+        takes = (
+            ctypes.c_void_p,
+        ) * 3  # room for a result and for an error, both unused, and the table
+        entry = ctypes.PYFUNCTYPE(ctypes.c_int, *takes)
+        if file.suffix == LINKED:
+            self._holder = ctypes.PyDLL(str(file))
+            self._functions = {name: entry((PREFIX + name, self._holder)) for name in SIGNATURES}
+        else:
+            self._holder = _engine(file.read_bytes())
+            self._functions = {
+                name: entry(self._holder.get_function_address(PREFIX + name)) for name in SIGNATURES
+            }
 
     def bind(self, function: str, sizes: Mapping[str, int], **given: NDArray[Any]) -> Bound:
         """A call of a function with fixed arrays; those that are not given are made, full of zeros."""
-        return Bound(self._functions[function], SIGNATURES[function], sizes, given)
+        return Bound(self, self._functions[function], SIGNATURES[function], sizes, given)
 
 
 class Bound:
     """A compiled function with the arrays it reads and writes.
 
     Args:
-        function: Address of the machine code.
+        kernels: What holds the machine code, which must not go before this.
+        function: It, as something to call.
         signature: What it takes.
         sizes: Every size by its name.
         given: Arrays of the caller's, which stay where they are; all others are made here.
@@ -81,11 +81,13 @@ class Bound:
 
     def __init__(
         self,
+        kernels: Kernels,
         function: Any,
         signature: Signature,
         sizes: Mapping[str, int],
         given: Mapping[str, NDArray[Any]],
     ):
+        self._kernels = kernels
         self.arrays: dict[str, NDArray[Any]] = {}
         for array in signature.arrays:
             shape = tuple(int(n) if n.isdigit() else sizes[n] for n in array.shape)
@@ -109,7 +111,6 @@ class Bound:
             + [array.ctypes.data for array in self.arrays.values()],
             dtype=np.int64,
         )
-        # numba's functions also take room for a result and for an error, of which these have none.
         self._spare = np.zeros(2, dtype=np.int64)
         spare = self._spare.ctypes.data
         self.run = functools.partial(function, spare, spare + 8, self._table.ctypes.data)
@@ -234,19 +235,34 @@ def _choose(wish: str) -> Kernels | None:
 
 @functools.cache
 def _load() -> Kernels | None:
-    """The machine code of the first folder that holds any for this process; loaded once."""
-    for folder in folders():
-        code, stamp = files(folder)
-        try:
-            return Kernels(code.read_bytes(), json.loads(stamp.read_text(encoding="utf-8")))
-        except (OSError, ImportError):
-            continue  # not compiled, not readable, or nothing there that could load it
+    """The first machine code there is for this process; loaded once."""
+    for file in (file for folder in folders() for file in files(folder)):
+        if file.is_file():
+            with suppress(
+                OSError, ImportError
+            ):  # not readable, or nothing there that could load it
+                return Kernels(file)
     return None
 
 
+def _engine(code: bytes) -> Any:
+    """LLVM with an object file loaded into it; it takes a tenth of a second and a hundred megabytes."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        codemodel="jitdefault", jit=True
+    )
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine
+
+
 def files(folder: Path) -> tuple[Path, Path]:
-    """Machine code and stamp, the names of the functions in it: for this process, if they are there."""
-    return folder / f"workcell_{key()}.o", folder / f"workcell_{key()}.json"
+    """Machine code for this process as a shared library and as an object file: there or not."""
+    return folder / f"workcell_{key()}{LINKED}", folder / f"workcell_{key()}.o"
 
 
 def folders() -> list[Path]:
