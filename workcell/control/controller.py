@@ -30,6 +30,7 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import IkSolution
+from workcell.control.ladder import STANDSTILL_FACTOR
 from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.scaling import (
@@ -422,6 +423,9 @@ class Controller:
             return
         wanted = arm.wanted_rad_s
         arm.command_before_rad_s = arm.command_rad_s
+        if bound.factor < STANDSTILL_FACTOR and self._is_left(arm, row.limiting_pair):
+            self._slide(arm, row, proximity, other[owned])
+            return
         interval = acceleration_interval(
             arm.command_rad_s, wanted, arm.handles.acceleration_limit_rad_s2, self._dt
         )
@@ -445,6 +449,40 @@ class Controller:
         row.mode = self._mode_of_support(arm, row, proximity)
         if row.mode == "scale" and rung.impasse and not rung.attempt:
             row.mode = "hold"  # whatever was to be tried has been
+
+    def _is_left(self, arm: ControlledArm, pair: int | None) -> bool:
+        """Whether an arm retreats and is held by nothing but what it has just met."""
+        return (
+            arm.jobs is not None and arm.jobs.retreats and pair in self._meeting_pairs(arm).tolist()
+        )
+
+    def _slide(
+        self,
+        arm: ControlledArm,
+        row: ArmRecord,
+        proximity: Proximity,
+        other: NDArray[np.float64],
+    ) -> None:
+        """Get away from what was met: the motion nearest to the way back that closes no pair that is too near.
+
+        Slowing down would not do: what is drawn out of a hand passes close by its fingers.
+        """
+        counted, _ = self._counted(arm, proximity)
+        allowance = (counted - self._settings.standoff_m) / self._settings.t_min_s
+        rows = _rows(proximity, arm.owned_pairs, arm)
+        wanted = arm.wanted_rad_s
+        velocity = arm.ik.evade(
+            self._belief, arm.command_rad_s, wanted, rows, np.minimum(-allowance - other, 0.0)
+        )
+        if velocity is None:
+            velocity = brake(arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
+            row.ik_status = "stopped"
+        arm.command_rad_s = velocity
+        along = float(velocity @ wanted) / max(float(wanted @ wanted), 1e-12)
+        arm.factor = row.scale = min(1.0, max(0.0, along))
+        arm.governor.resume(arm.factor)
+        row.reason = "other_arm" if (allowance + other).min() < -TASK_SLACK_M_S else "ttc"
+        row.mode = "scale"
 
     def _keep(
         self,

@@ -230,6 +230,10 @@ class FactorGovernor:
         """Start from 0 again, as after a halt."""
         self._previous = 0.0
 
+    def resume(self, factor: float) -> None:
+        """Go on from a factor that was granted without being asked for here."""
+        self._previous = factor
+
     def choose(
         self,
         ttc_factor: float,
