@@ -88,13 +88,16 @@ def assert_pairs_agree(model, data, geometry, qacc) -> None:
     between = np.linalg.norm(theirs.witness_i_m - theirs.witness_j_m, axis=1)
     round_pair = (geometry.radius_i_m > 0) & (geometry.radius_j_m > 0)
     blur = ROUNDING + np.where(round_pair, 1e-15 / np.maximum(between, 1e-9), 1e-9)
-    blur[theirs.degenerate] = 1e-9
+    # Where an axis point is on its surface point the direction is a choice, or what rounding left of it.
+    blur[theirs.degenerate & ~round_pair] = 1.0
+    blur[theirs.degenerate & round_pair] = 1e-9
     np.testing.assert_array_equal(mine.degenerate, theirs.degenerate)
     for name in ("distance_m", "witness_i_m", "witness_j_m", "surface_i_m", "surface_j_m"):
         np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), atol=ROUNDING)
     for name in ("normal", "jacobian"):
         apart = np.abs(getattr(mine, name) - getattr(theirs, name)).max(axis=1, initial=0.0)
         assert (apart <= 4 * blur).all(), (name, apart, blur)
+    np.testing.assert_allclose(np.linalg.norm(mine.normal, axis=1), 1.0, atol=ROUNDING)
     # The same measurement for both, as d̈ grows with one over the distance of the axes.
     mine, theirs = both(lambda: second_order.second_order(geometry, data, theirs, qacc))
     np.testing.assert_array_equal(mine.exact, theirs.exact)
@@ -361,7 +364,9 @@ def test_the_tool_rows_are_minks_and_the_solution_the_same(
     for a, b in zip(mine[:4], theirs[:4], strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=blur * (1.0 + np.abs(b).max()))
     assert mine[4].status == theirs[4].status
-    np.testing.assert_allclose(mine[4].velocity_rad_s, theirs[4].velocity_rad_s, atol=1e-7)
+    # The program may enlarge what the rows differ by, where two of them are almost parallel.
+    enlarged = 1e-7 + 1e4 * np.abs(mine[1] - theirs[1]).max()
+    np.testing.assert_allclose(mine[4].velocity_rad_s, theirs[4].velocity_rad_s, atol=enlarged)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

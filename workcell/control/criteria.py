@@ -180,8 +180,9 @@ def with_room_to_stops(
             grow with it.
     """
     q = finite("q_rad", q_rad)
-    below = np.maximum(STOP_MARGIN_RAD - (q - lower_rad), 0.0) / STOP_MARGIN_RAD
-    above = np.maximum(STOP_MARGIN_RAD - (upper_rad - q), 0.0) / STOP_MARGIN_RAD
+    lower, upper = np.asarray(lower_rad, dtype=float), np.asarray(upper_rad, dtype=float)
+    below = np.maximum(STOP_MARGIN_RAD - (q - lower), 0.0) / STOP_MARGIN_RAD
+    above = np.maximum(STOP_MARGIN_RAD - (upper - q), 0.0) / STOP_MARGIN_RAD
     if not (below.any() or above.any()):
         return objective
     push = STOP_PUSH_RAD_S * (below * below - above * above)

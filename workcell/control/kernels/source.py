@@ -107,7 +107,7 @@ def _nearest_on_axis(point, centre, half, half_length):
     """`proximity._nearest_on_axis`."""
     along = 0.0
     if half_length > 0.0:
-        along = _dot(_minus(point, centre), half) / (half_length * half_length)
+        along = _dot(_minus(point, centre), half) * (1.0 / (half_length * half_length))
         along = min(1.0, max(-1.0, along))
     return _plus(centre, _times(along, half))
 
