@@ -6,6 +6,7 @@ Nothing here compares a function with itself: what is compiled is written pair b
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -19,7 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workcell import scenario
-from workcell.control import criteria, ik, proximity, second_order, ttc
+from workcell.control import criteria, ik, proximity, scaling, second_order, ttc
+from workcell.control.controller import Controller
 from workcell.control.kernels import library
 from workcell.control.kernels.arguments import SIGNATURES
 from workcell.control.proximity import PairGeometry
@@ -97,7 +99,8 @@ def assert_pairs_agree(model, data, geometry, qacc) -> None:
     for name in ("normal", "jacobian"):
         apart = np.abs(getattr(mine, name) - getattr(theirs, name)).max(axis=1, initial=0.0)
         assert (apart <= 4 * blur).all(), (name, apart, blur)
-    np.testing.assert_allclose(np.linalg.norm(mine.normal, axis=1), 1.0, atol=ROUNDING)
+    sure = ~theirs.degenerate
+    np.testing.assert_allclose(np.linalg.norm(mine.normal[sure], axis=1), 1.0, atol=ROUNDING)
     # The same measurement for both, as d̈ grows with one over the distance of the axes.
     mine, theirs = both(lambda: second_order.second_order(geometry, data, theirs, qacc))
     np.testing.assert_array_equal(mine.exact, theirs.exact)
@@ -244,6 +247,71 @@ def test_times_to_collision_are_the_same_to_the_last_bit(rows, standoff):
             if not np.isnan(theirs).any():
                 first, second = both(lambda kappa=theirs: ttc.smallest(kappa))
                 assert first == second
+
+
+@given(rows=ROWS, t_min=st.sampled_from([1.0, 0.5, 1e-3]), standoff=st.sampled_from([0.0, 0.02]))
+@settings(max_examples=400)
+def test_the_factor_is_the_same_to_the_last_bit(rows, t_min, standoff):
+    distance, own, other = np.array(rows).T.copy()
+    with np.errstate(all="ignore"):
+        mine, theirs = both(
+            lambda: scaling.pairwise_factor(distance, own, other, t_min, standoff_m=standoff)
+        )
+    np.testing.assert_equal(dataclasses.astuple(mine), dataclasses.astuple(theirs))
+
+
+SPEED = st.sampled_from([0.0, -0.0, 1e-300, 1e-12, 0.02, -0.02]) | st.floats(-10.0, 10.0)
+
+
+@given(
+    rows=st.lists(st.tuples(SPEED, SPEED), min_size=1, max_size=7),
+    reach=st.sampled_from([1.0, 100.0]),
+    alike=st.booleans(),
+)
+@settings(max_examples=400)
+def test_what_the_joints_reach_is_the_same_to_the_last_bit(rows, reach, alike):
+    previous, wanted = np.array(rows).T.copy()
+    previous = wanted.copy() if alike else previous
+    limit = np.full(len(rows), reach)
+    with np.errstate(all="ignore"):
+        found = both(lambda: scaling.acceleration_interval(previous, wanted, limit, 0.002))
+    assert found[0] == found[1]
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_push_from_the_stops(seed):
+    random = np.random.default_rng(seed)
+    q, lower = random.uniform(-1.0, 1.0, (2, 7))
+    upper = np.where(random.random(7) < 0.3, np.inf, lower + random.choice([0.3, 2.0, 0.0]))
+    objective = criteria.NullspaceObjective(np.eye(7), random.normal(size=7))
+    mine, theirs = both(lambda: criteria.with_room_to_stops(objective, q, lower, upper, 8.0))
+    np.testing.assert_allclose(mine.linear, theirs.linear, rtol=ROUNDING, atol=ROUNDING)
+    assert (mine is objective) == (theirs is objective)
+
+
+def test_the_rows_of_the_self_motion(cell):
+    """All arms, in states on the way: the same pairs, and the same rates allowed to them."""
+    controller = Controller(cell)
+    data = mujoco.MjData(cell.model)
+    cell.place_home(data)
+    seen = 0
+    for _ in range(40):
+        for _ in range(25):
+            record = controller.step(data.qpos, data.qvel)
+            data.qvel[:] = record.command_rad_s
+            mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), cell.period_s)
+        near = controller._geometry.measure(controller._belief.data)
+        for arm in controller._arms:
+            other = controller._rate_of_others(arm, near)
+            mine, theirs = both(
+                lambda arm=arm, other=other, near=near: controller._self_motion_rows(
+                    arm, near, other
+                )
+            )
+            np.testing.assert_array_equal(mine[0], theirs[0])
+            np.testing.assert_allclose(mine[1], theirs[1], rtol=0, atol=ROUNDING)
+            seen += len(mine[1])
+    assert seen > 200
 
 
 @given(

@@ -30,6 +30,7 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import IkSolution
+from workcell.control.kernels.library import ArrayFunction
 from workcell.control.ladder import STANDSTILL_FACTOR
 from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.record import ArmRecord, TickRecord
@@ -70,6 +71,9 @@ ELBOW_PUSH = 0.25
 """Strength of the push to one side; chosen so that the elbow swings at about 0.5 rad/s at the default criterion gain."""
 FIXED_ELBOW_M2 = 1e-6
 """Square of the lever (1 mm) below which no self-motion moves the elbow sideways."""
+_SELF_MOTION_ROWS = ArrayFunction(
+    "self_motion_rows", "jacobian", "distance", "other", "index", "dof", "task", "speed"
+)
 MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
 
@@ -679,22 +683,36 @@ class Controller:
         A row forbids what would bring a pair below t_min, but never asks for more than the tool
         task alone gives: what the path or the operator wants is not the null space's to refuse.
         """
-        settings = self._settings
         objective = self._criterion(arm, record, proximity, other)
+        rows, allowed = self._self_motion_rows(arm, proximity, other)
+        try:
+            return arm.ik.solve(self._belief, arm.wanted_rad_s, objective, rows, allowed)
+        except FloatingPointError as error:
+            raise ControlFault(self.tick, str(error)) from error
+
+    def _self_motion_rows(
+        self, arm: ControlledArm, proximity: Proximity, other: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(R, n) rows of G and (R,) the smallest rate allowed to each, of the pairs that could be brought below t_min."""
+        settings, speed = self._settings, arm.handles.velocity_limit_rad_s
+        found = _SELF_MOTION_ROWS(
+            proximity.jacobian, proximity.distance_m, other, arm.all_pairs, arm.dofs,
+            arm.task_rad_s, speed,
+            setting=(settings.standoff_m, settings.t_min_s, settings.d_min_m, TASK_SLACK_M_S),
+        )  # fmt: skip
+        if found is not None:
+            count = found["count"].item()
+            return found["rows"][:count].copy(), found["allowed"][:count].copy()
         rows = _rows(proximity, arm.all_pairs, arm)
         distance = proximity.distance_m.take(arm.all_pairs) - settings.standoff_m
         allowed = distance * (-1.0 / settings.t_min_s)
         allowed[distance <= settings.d_min_m] = 0.0
         allowed -= other.take(arm.all_pairs)
         allowed = np.minimum(allowed, rows @ arm.task_rad_s - TASK_SLACK_M_S)
-        reachable = -np.abs(rows) @ arm.handles.velocity_limit_rad_s
-        near = allowed > reachable  # the rest cannot be violated at any allowed velocity
-        try:
-            return arm.ik.solve(
-                self._belief, arm.wanted_rad_s, objective, rows[near], allowed[near]
-            )
-        except FloatingPointError as error:
-            raise ControlFault(self.tick, str(error)) from error
+        near = (
+            allowed > -np.abs(rows) @ speed
+        )  # the rest cannot be violated at any allowed velocity
+        return rows[near], allowed[near]
 
     def _criterion(
         self,

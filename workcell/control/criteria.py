@@ -28,6 +28,7 @@ CRITERIA: tuple[CriterionName, ...] = ("artc", "artc_approaching", "armd", "none
 _SIGNED = ArrayFunction("average", "distance", "rate", kind=0)
 _APPROACHING = ArrayFunction("average", "distance", "rate", kind=1)
 _ARMD = ArrayFunction("average", "distance", kind=2)
+_STOPS = ArrayFunction("with_room_to_stops", "q", "lower", "upper", "linear")
 _DESCENTS = {
     "artc": ArrayFunction("objective", "distance", "rows", kind=0),
     "artc_approaching": ArrayFunction("objective", "distance", "rows", "rate", "other", kind=1),
@@ -179,6 +180,17 @@ def with_room_to_stops(
         weight: Weight of the criterion against 1/2 |q'|^2, > 0: the push is a velocity, and does not
             grow with it.
     """
+    found = _STOPS(
+        q_rad,
+        lower_rad,
+        upper_rad,
+        objective.linear,
+        setting=(STOP_MARGIN_RAD, STOP_PUSH_RAD_S, weight),
+    )
+    if found is not None:
+        if not found["any"][0]:
+            return objective
+        return NullspaceObjective(objective.hessian, found["pushed"].copy())
     q = finite("q_rad", q_rad)
     lower, upper = np.asarray(lower_rad, dtype=float), np.asarray(upper_rad, dtype=float)
     below = np.maximum(STOP_MARGIN_RAD - (q - lower), 0.0) / STOP_MARGIN_RAD

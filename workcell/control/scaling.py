@@ -16,9 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import alike, finite
+from workcell.control.kernels.library import ArrayFunction
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
+
+_PAIRWISE = ArrayFunction("pairwise_factor", "distance", "own", "other")
+_INTERVAL = ArrayFunction("acceleration_interval", "previous", "wanted", "limit")
 
 Limiter = Literal["none", "ttc", "rise", "acceleration", "braking", "infeasible"]
 
@@ -98,6 +102,11 @@ def pairwise_factor(
     _require_positive("t_min_s", t_min_s)
     if not 0.0 <= standoff_m < np.inf:
         raise WorkcellError(f"standoff_m is {standoff_m}; must be a finite number >= 0")
+    found = _PAIRWISE(distance_m, rate_own_m_s, rate_other_m_s, setting=(t_min_s, standoff_m))
+    if found is not None:
+        factor, required, short = found["found"].tolist()
+        pair, short_pair = found["which"].tolist()
+        return ScaleBound(factor, pair, required, short, short_pair)
     distance, own, other = alike(
         finite("distance_m", distance_m),
         finite("rate_own_m_s", rate_own_m_s),
@@ -181,6 +190,10 @@ def acceleration_interval(
         WorkcellError: An input is not finite or not positive where it must be.
     """
     _require_positive("period_s", period_s)
+    found = _INTERVAL(previous_rad_s, wanted_rad_s, limit_rad_s2, setting=period_s)
+    if found is not None:
+        lowest, highest = found["found"].tolist()
+        return AccelerationInterval(lowest, highest, feasible=True)
     previous, wanted, limit = alike(
         finite("previous_rad_s", previous_rad_s),
         finite("wanted_rad_s", wanted_rad_s),

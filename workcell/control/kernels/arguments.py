@@ -204,6 +204,59 @@ SIGNATURES: dict[str, Signature] = {
         answer        i 1
         """,
     ),
+    "with_room_to_stops": _signature(
+        "joints",
+        """
+        q             f joints
+        lower         f joints
+        upper         f joints
+        linear        f joints
+        setting       f 3
+        pushed        f joints
+        any           i 1
+        answer        i 1
+        """,
+    ),
+    "self_motion_rows": _signature(
+        "pairs joints chosen dofs",
+        """
+        jacobian      f pairs joints
+        distance      f pairs
+        other         f pairs
+        index         i chosen
+        dof           i dofs
+        task          f dofs
+        speed         f dofs
+        setting       f 4
+        rows          f chosen dofs
+        allowed       f chosen
+        count         i 1
+        answer        i 1
+        """,
+    ),
+    "pairwise_factor": _signature(
+        "pairs",
+        """
+        distance      f pairs
+        own           f pairs
+        other         f pairs
+        setting       f 2
+        found         f 3
+        which         i 2
+        answer        i 1
+        """,
+    ),
+    "acceleration_interval": _signature(
+        "dofs",
+        """
+        previous      f dofs
+        wanted        f dofs
+        limit         f dofs
+        setting       f 1
+        found         f 2
+        answer        i 1
+        """,
+    ),
     "settle": _signature(
         "dofs",
         """

@@ -137,12 +137,14 @@ class ArrayFunction(threading.local):
         self._shapes = [shapes[name] for name in inputs]
         self._ready: dict[Any, tuple[Bound, list[NDArray[Any]]]] = {}
 
-    def __call__(self, *values: ArrayLike, setting: float = 0.0) -> dict[str, NDArray[Any]] | None:
+    def __call__(
+        self, *values: ArrayLike, setting: float | tuple[float, ...] | None = None
+    ) -> dict[str, NDArray[Any]] | None:
         """Run it.
 
         Args:
             values: The inputs.
-            setting: For a function that has a `setting`.
+            setting: What a function that has a `setting` finds in it.
 
         Returns:
             Its arrays, which the next call overwrites; None where NumPy is used, where an input is not an
@@ -164,7 +166,8 @@ class ArrayFunction(threading.local):
         bound, kept = ready
         for k, value in enumerate(values):
             kept[k][...] = value
-        bound.setting[0] = setting
+        if setting is not None:
+            bound.setting[:] = setting
         bound.run()
         return bound.arrays if bound.done() == DONE else None
 

@@ -465,6 +465,104 @@ def objective(pairs, joints, kind, distance, rate, rows, other, hessian, linear,
             hessian[a, b] /= count
 
 
+@_compiled
+def with_room_to_stops(joints, q, lower, upper, linear, setting, pushed, any, answer):
+    """`criteria.with_room_to_stops`; the settings are its margin, its push and the weight."""
+    answer[0] = DONE
+    margin, push, weight = setting[0], setting[1], setting[2]
+    any[0] = 0
+    for k in range(joints):
+        if not math.isfinite(q[k]):
+            answer[0] = REFUSED
+            return
+        below = max(margin - (q[k] - lower[k]), 0.0) / margin
+        above = max(margin - (upper[k] - q[k]), 0.0) / margin
+        if below > 0.0 or above > 0.0:
+            any[0] = 1
+        pushed[k] = linear[k] - push * (below * below - above * above) / weight
+
+
+# ---------------------------------------------------------------- what an arm may do
+
+
+@_compiled
+def self_motion_rows(
+    pairs, joints, chosen, dofs,
+    jacobian, distance, other, index, dof, task, speed, setting, rows, allowed, count, answer,
+):  # fmt: skip
+    """`Controller._self_motion_rows`; the settings are standoff, t_min, d_min and the slack of the task."""
+    answer[0] = DONE
+    kept = 0
+    for k in range(chosen):
+        pair = index[k]
+        gap = distance[pair] - setting[0]
+        bound = 0.0 if gap <= setting[2] else gap * (-1.0 / setting[1])
+        asked = reachable = 0.0
+        for m in range(dofs):
+            entry = jacobian[pair, dof[m]]
+            rows[kept, m] = entry
+            asked += entry * task[m]
+            reachable -= abs(entry) * speed[m]
+        bound = min(bound - other[pair], asked - setting[3])
+        if not math.isfinite(bound + reachable):
+            answer[0] = REFUSED
+            return
+        if bound > reachable:
+            allowed[kept] = bound
+            kept += 1
+    count[0] = kept
+
+
+@_compiled
+def pairwise_factor(pairs, distance, own, other, setting, found, which, answer):
+    """`scaling.pairwise_factor`; the settings are t_min and the standoff, found are factor, required, shortfall."""
+    answer[0] = DONE
+    least, limiting = math.inf, -1
+    for pair in range(pairs):
+        allowance = (distance[pair] - setting[1]) / setting[0] + other[pair]
+        if not math.isfinite(allowance + own[pair]):
+            answer[0] = REFUSED
+            return
+        if own[pair] < 0.0:
+            required = allowance / -own[pair]
+            if required < least:
+                least, limiting = required, pair
+    factor = 0.0 if least <= 0.0 else min(least, 1.0)
+    lowest, worst = math.inf, -1
+    for pair in range(pairs):
+        allowance = (distance[pair] - setting[1]) / setting[0] + other[pair]
+        margin = allowance + factor * own[pair]
+        if own[pair] < 0.0 and allowance >= 0.0:
+            margin = 0.0
+        if margin < lowest:
+            lowest, worst = margin, pair
+    short = max(0.0, -lowest)
+    found[0], found[1], found[2] = factor, least, short
+    which[0] = limiting if least < 1.0 else -1
+    which[1] = worst if short > 0.0 else -1
+
+
+@_compiled
+def acceleration_interval(dofs, previous, wanted, limit, setting, found, answer):
+    """`scaling.acceleration_interval` where there is one; the setting is the period."""
+    answer[0] = REFUSED
+    lowest, highest = 0.0, 1.0
+    for k in range(dofs):
+        v, w, reach = previous[k], wanted[k], limit[k] * setting[0]
+        if not (math.isfinite(v) and math.isfinite(w) and math.isfinite(reach) and limit[k] > 0.0):
+            return
+        if w == 0.0:
+            if abs(v) > reach:
+                return
+        else:
+            one, two = (v - reach) / w, (v + reach) / w
+            lowest, highest = max(lowest, min(one, two)), min(highest, max(one, two))
+    if lowest > highest:
+        return
+    found[0], found[1] = lowest, highest
+    answer[0] = DONE
+
+
 # ---------------------------------------------------------------- inverse kinematics
 
 
@@ -721,6 +819,10 @@ def _braking(distance, acceleration, fastest, period):
 
 
 ENTRIES = (
+    with_room_to_stops,
+    self_motion_rows,
+    pairwise_factor,
+    acceleration_interval,
     measure,
     second_order,
     reciprocal_first_order,
