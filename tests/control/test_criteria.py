@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from workcell.control import criteria
 from workcell.errors import WorkcellError
@@ -135,3 +137,27 @@ def test_unknown_criterion_and_bad_numbers_are_refused_by_name():
         criteria.armd([np.nan])
     with pytest.raises(WorkcellError, match=r"jacobian\[0, 1\] is inf"):
         criteria.objective("none", [1.0], [0.0], [[1.0, np.inf]])
+
+
+# ---------------------------------------------------------------- room to the stops
+
+
+@given(
+    q=st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7),
+    half=st.floats(0.5, 3.0),
+    weight=st.floats(0.1, 20.0),
+)
+def test_a_joint_is_pushed_from_its_stop_and_only_near_it(q, half, weight):
+    q = np.clip(q, -half, half)
+    none = criteria.NullspaceObjective(np.zeros((len(q), len(q))), np.zeros(len(q)))
+    pushed = criteria.with_room_to_stops(none, q, -half, half, weight)
+    velocity = -weight * pushed.linear  # what minimises 1/2 |q'|^2 + weight c'q'
+    depth = np.maximum(criteria.STOP_MARGIN_RAD - (half - np.abs(q)), 0.0)
+    expected = criteria.STOP_PUSH_RAD_S * (depth / criteria.STOP_MARGIN_RAD) ** 2
+    np.testing.assert_allclose(velocity, -np.sign(q) * expected, atol=1e-12)
+
+
+def test_joints_without_stops_are_left_alone():
+    objective = criteria.NullspaceObjective(np.eye(2), np.ones(2))
+    free = criteria.with_room_to_stops(objective, [50.0, -50.0], -np.inf, np.inf, 1.0)
+    np.testing.assert_array_equal(free.linear, objective.linear)

@@ -377,6 +377,18 @@ def test_other_entries_are_tried_in_turn_and_only_while_presenting():
     assert not cell.jobs.enter_from("left", cell.around())
 
 
+def test_each_entry_is_tried_once_and_the_one_asked_for_is_kept_then():
+    cell = Cell(present("right"), scenario.Retreat(kind="retreat"), present("left"))
+    cell.tick()
+    tried = []
+    while cell.jobs.try_another_entry(cell.around()):
+        tried.append(cell.jobs._entry)
+    assert tried == ["above", "left", "right"]
+    cell.until(lambda: cell.jobs.finished == 2)
+    cell.tick()
+    assert cell.jobs.try_another_entry(cell.around()), "another presentation, another round"
+
+
 def test_the_rotation_is_free_only_where_the_job_says_so():
     cell = Cell(present("left", free_rotation=True), scenario.Wait(kind="wait", duration_s=1.0))
     assert not cell.jobs.free_rotation

@@ -451,7 +451,7 @@ class Controller:
             arm.factor = 1.0
         row.reason = "other_arm" if bound.shortfall_m_s > 0.0 else reason
         row.mode = self._mode_of_support(arm, row, proximity)
-        if row.mode == "scale" and rung.impasse and not rung.attempt:
+        if row.mode in ("run", "scale") and rung.impasse and not rung.attempt:
             row.mode = "hold"  # whatever was to be tried has been
 
     def _is_left(self, arm: ControlledArm, pair: int | None) -> bool:
