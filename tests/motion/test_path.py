@@ -134,3 +134,33 @@ def test_a_standing_target_keeps_its_own_copy():
     target = standing(position, np.array([1.0, 0, 0, 0]))
     position[0] = 1.0
     assert target.position_m[0] == 0.0
+
+
+@pytest.mark.parametrize("speed_m_s", [0.15, 0.3, 1.0])
+@pytest.mark.parametrize(
+    "corner",
+    [[0.5, 0.12, 0.0], [0.0, 0.05, 0.0], [1.0, 0.0, 0.0]],
+    ids=["round a corner", "back", "straight on"],
+)
+def test_bends_are_taken_no_faster_than_the_acceleration_allows(speed_m_s, corner):
+    """Forwards and backwards; what counts is the whole acceleration of the tool, turning as length."""
+    geometry = PathGeometry(
+        [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], corner],
+        [[1, 0, 0, 0], [np.sqrt(0.5), np.sqrt(0.5), 0, 0], [1, 0, 0, 0]],
+    )
+    for ends in ({}, {"start_m": geometry.length_m, "end_m": 0.0}):
+        path = TimedPath(geometry, speed_m_s=speed_m_s, acceleration_m_s2=0.5, **ends)
+        clock = np.arange(0.0, path.duration_s + 0.1, 1e-3)
+        targets = [path.target(t) for t in clock]
+        twist = np.array(
+            [
+                np.concatenate([t.velocity_m_s, TURN_LENGTH_M_PER_RAD * t.angular_velocity_rad_s])
+                for t in targets
+            ]
+        )
+        assert np.linalg.norm(twist, axis=1).max() <= speed_m_s * 1.005
+        assert np.linalg.norm(np.gradient(twist, 1e-3, axis=0), axis=1).max() < 1.15 * 0.5
+        # What is fed forward is how the pose moves.
+        moved = np.gradient(np.array([t.position_m for t in targets]), 1e-3, axis=0)
+        np.testing.assert_allclose(moved[2:-2], twist[2:-2, :3], atol=1e-3 * speed_m_s)
+        assert path.length_at(path.duration_s) == pytest.approx(path.end_m, abs=1e-9)

@@ -78,7 +78,8 @@ class Checker:
             found = self._search.nearest(*self._exempt(gripping, k))
             closing_m_s = self._closing_m_s(k, gripping, request, found.distance_m)
             too_near = found.distance_m <= exemption.d_min_m
-            broken = too_near or closing_m_s > exemption.max_closing_m_s
+            too_fast = closing_m_s > exemption.max_closing_m_s
+            broken = too_near or (too_fast and found.distance_m <= exemption.near_m)
             # The first exemption whose terms are broken is the one reported, else the nearest.
             if fault < 0 and (broken or found.distance_m < exempt_m):
                 exempt_m, exempt_pair = found.distance_m, found.pair or (-1, -1)

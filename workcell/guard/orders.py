@@ -25,6 +25,11 @@ CLOSING_MARGIN = 1.25
 percent seen; chosen well above them and well below a second arm's own speed."""
 
 
+MEETING_NEAR_M = 0.15
+"""Farther apart than this a window's pair may close at any speed, as the next job takes the arm elsewhere; chosen five
+times the way a PA10 needs to stop from 0.26 m/s."""
+
+
 def check_settings(cell: Cell) -> CheckSettings:
     """What the checker of a cell is told."""
     scenario = cell.scenario
@@ -105,6 +110,7 @@ def _exemptions(cell: Cell, d_min_m: float) -> tuple[Exemption, ...]:
             expiry_s=MEETING_S,
             max_closing_m_s=CLOSING_MARGIN * speed_m_s[name],
             d_min_m=d_min_m / 2,
+            near_m=MEETING_NEAR_M,
         )
         for name, (mine, theirs) in sides.items()
     )

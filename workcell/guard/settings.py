@@ -43,10 +43,12 @@ class Exemption:
     expiry_s: float
     """An open window closes by itself this long after it was opened, s of simulated time."""
     max_closing_m_s: float
-    """Inside the window a faster approach of the pair halts, m/s."""
+    """Inside the window a faster approach of the pair halts, m/s, where it is `near_m` or nearer."""
     d_min_m: float
     """Inside the window the pair halts at this distance instead of the check's own, m; may be
     negative for a soft or form-fitting contact."""
+    near_m: float = math.inf
+    """Distance from which the cap on the closing speed counts, m: chosen with room to stop in."""
 
 
 @dataclass(frozen=True)
@@ -239,6 +241,8 @@ def _exemption_faults(exemption: Exemption) -> list[str]:
         for side in ("geoms_i", "geoms_j")
         if not getattr(exemption, side)
     ]
+    if not exemption.near_m > 0.0:
+        faults.append(f"{key}.near_m: {exemption.near_m} must be above 0")
     if not math.isfinite(exemption.d_min_m):
         faults.append(f"{key}.d_min_m: {exemption.d_min_m} must be finite")
     return faults

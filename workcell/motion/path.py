@@ -22,6 +22,8 @@ TURN_LENGTH_M_PER_RAD = 0.25
 """Turning counts as length, so that a turn on the spot takes time too; chosen: about a hand's distance from the wrist."""
 SLOWEST_SHARE = 0.25
 """Share of a curve's mean rate that its parameter never falls below; chosen so that a reversal costs little time."""
+BEND_SHARE = 0.5
+"""Share of the acceleration that a bend may need; the rest is for slowing down before it and going on after it."""
 RATE_TOLERANCE = 1e-3
 """Relative excess of speed that is let pass; ordinary paths stay far below."""
 _STEP_M = 0.005
@@ -105,6 +107,7 @@ class PathGeometry:
             curve = CubicSpline(
                 at * stretch, curve(at), bc_type="not-a-knot" if len(at) > 3 else "natural"
             )
+        self._curve = curve
         # The pieces are looked up once or twice a tick, in a tenth of the time a spline object takes.
         self._knots = curve.x.tolist()
         self._pieces = np.ascontiguousarray(curve.c.transpose(1, 0, 2))
@@ -140,6 +143,20 @@ class PathGeometry:
         )
         return value[:3], wxyz, rate[:3], angular
 
+    def bend(self, s_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) how much the slope changes along the curve at evenly spaced lengths, turning counted as length, 1/m.
+
+        At speed v the tool needs the acceleration bend v² there, that along the curve aside.
+        """
+        if self.length_m == 0.0 or len(s_m) < 3:
+            return np.zeros(len(s_m))
+        value, rate = self._curve(s_m), self._curve(s_m, 1)
+        wxyz = value[:, 3:] / np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
+        # ω = 2 q̇ q*, vector part.
+        angular = 2.0 * _product(rate[:, 3:], wxyz * [1.0, -1.0, -1.0, -1.0])
+        slope = np.hstack([rate[:, :3], TURN_LENGTH_M_PER_RAD * angular])
+        return np.linalg.norm(np.gradient(slope, np.abs(s_m[1] - s_m[0]), axis=0), axis=1)
+
     def _evaluate(self, s_m: float) -> NDArray[np.float64]:
         """(2, 7) the curve of position and quaternion, and its derivative, at a length clamped to its ends."""
         s = min(max(s_m, 0.0), self.length_m)
@@ -153,7 +170,9 @@ class TimedPath:
     """Runs along a geometry from one length to another, from rest to rest.
 
     The speed rises and falls along a smooth step (3x² - 2x³), whose steepest slope is the
-    acceleration; a path too short for the cruise speed gets a lower one.
+    acceleration; a path too short for the cruise speed gets a lower one. Where the curve bends so much
+    that the cruise speed would need more than that acceleration across it, it runs more slowly: such a
+    stretch counts as longer.
 
     Args:
         geometry: The curve.
@@ -178,6 +197,12 @@ class TimedPath:
         self._sign = 1.0 if self.end_m >= self.start_m else -1.0
         # The two ramps together cover v * ramp, and ramp = 1.5 v / a.
         self.speed_m_s = min(speed_m_s, np.sqrt(distance * acceleration_m_s2 / 1.5))
+        self._length_at = _slowed_in_bends(
+            geometry, self.start_m, self.end_m, self.speed_m_s, acceleration_m_s2
+        )
+        if self._length_at is not None:
+            distance = float(self._length_at.x[-1])
+            self._slope_at = self._length_at.derivative()
         self._ramp_s = 1.5 * self.speed_m_s / acceleration_m_s2
         self._cruise_s = distance / self.speed_m_s - self._ramp_s if self.speed_m_s > 0 else 0.0
         self._distance_m = distance
@@ -186,6 +211,9 @@ class TimedPath:
     def target(self, clock_s: float) -> Target:
         """Pose and twist at a time of the path's own clock, at rest outside its span."""
         travelled, speed = self._travel(clock_s)
+        if self._length_at is not None:
+            speed *= float(self._slope_at(travelled))
+            travelled = float(self._length_at(travelled))
         s = self.start_m + self._sign * travelled
         if speed == 0.0:
             return standing(*self.geometry.pose(s))
@@ -194,10 +222,13 @@ class TimedPath:
 
     def length_at(self, clock_s: float) -> float:
         """Length along the geometry at a time of the clock."""
-        return self.start_m + self._sign * self._travel(clock_s)[0]
+        travelled = self._travel(clock_s)[0]
+        if self._length_at is not None:
+            travelled = float(self._length_at(travelled))
+        return self.start_m + self._sign * travelled
 
     def _travel(self, clock_s: float) -> tuple[float, float]:
-        """Distance travelled and speed."""
+        """Distance travelled and speed, slow stretches counted as longer."""
         if self._distance_m == 0.0 or clock_s <= 0.0:
             return 0.0, 0.0
         if clock_s >= self.duration_s:
@@ -223,6 +254,37 @@ def _peak_rate(curve: CubicSpline, samples: int) -> float:
     turning = 2.0 * np.linalg.norm(rate[:, 3:], axis=1) / np.linalg.norm(value[:, 3:], axis=1)
     speed = np.hypot(np.linalg.norm(rate[:, :3], axis=1), TURN_LENGTH_M_PER_RAD * turning)
     return float(speed.max())
+
+
+def _slowed_in_bends(
+    geometry: PathGeometry, start_m: float, end_m: float, speed_m_s: float, acceleration_m_s2: float
+) -> PchipInterpolator | None:
+    """Way along a curve for the way counted, both from the start; None where no bend needs less than the speed.
+
+    The speed allowed is sqrt(share / bend) for a share of the acceleration, and rises from it and falls to
+    it with no more than that share; a step of way counts as much longer as it is slower.
+    """
+    if speed_m_s == 0.0:
+        return None
+    way = np.linspace(0.0, abs(end_m - start_m), 2 + int(abs(end_m - start_m) / (_STEP_M / 2)))
+    bend = geometry.bend(start_m + np.sign(end_m - start_m) * way)
+    share = BEND_SHARE * acceleration_m_s2
+    allowed = np.minimum(speed_m_s**2, share / np.maximum(bend, 1e-9))
+    if allowed.min() >= speed_m_s**2:
+        return None
+    gain = 2.0 * share * way[1]
+    for order in (range(1, len(way)), range(len(way) - 2, -1, -1)):
+        for k in order:
+            before = k - 1 if order.step > 0 else k + 1
+            allowed[k] = min(allowed[k], allowed[before] + gain)
+    slowness = speed_m_s / np.sqrt(allowed)
+    counted = np.concatenate([[0.0], np.cumsum(way[1] * (slowness[1:] + slowness[:-1]) / 2)])
+    return PchipInterpolator(counted, way)
+
+
+def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) vector part of the products of quaternions (N, 4), scalar first."""
+    return a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
 
 
 def _ramp_up(time_s: float, speed_m_s: float, ramp_s: float) -> tuple[float, float]:
