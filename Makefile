@@ -49,7 +49,7 @@ imports: install  ## who may import whom
 check: lint type imports  ## style, types and layering
 
 bench: install  ## timings, as ratios within one process
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench --benchmark-only --benchmark-json=.benchmarks/latest.json
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench --benchmark-only -rs --benchmark-json=.benchmarks/latest.json
 
 lock: install  ## resolve requirements.lock anew
 	$(BIN)/uv pip compile pyproject.toml --group dev --all-extras --universal --python-version 3.11 --generate-hashes --quiet --output-file requirements.lock
