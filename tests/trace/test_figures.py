@@ -60,7 +60,7 @@ def test_stamps_tell_the_two_encounters(run):
 
 
 def part(trace, start, stop):
-    return dataclasses.replace(trace, table=trace.table.slice(start, stop - start))
+    return dataclasses.replace(trace, rows=trace.table.slice(start, stop - start))
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 100), (0, 600), (300, 400), (0, 4), (0, 1)])

@@ -90,6 +90,36 @@ def test_pairs_that_are_meant_to_meet_are_left_out(run):
     assert (apart > smallest_distance_m(trace)).any()
 
 
+def test_blocks_leave_no_mark_in_the_metrics(run, summary, monkeypatch):
+    """Retreats and an arm's own hand included, against columns that are held as a whole."""
+    settings = run.trace.metadata["settings"]
+    settings["arm"][1]["job"] = [{"kind": "retreat", "speed_m_s": 0.1}]
+    entries = {
+        b"settings": json.dumps(settings).encode(),
+        b"hands": json.dumps({"probe=nurse": [2, 5]}).encode(),
+    }
+    table = run.trace.table
+    holders = np.where(np.arange(len(run.trace)) % 700 < 300, "probe=nurse", "probe=surgeon")
+    job = np.where(run.trace["time_s"] > 2.5, "retreat", "meet")
+    for name, values in (("holders", holders), ("nurse.job", job)):
+        place = table.column_names.index(name)
+        table = table.set_column(place, table.schema.field(place), pa.array(values.tolist()))
+    table = table.replace_schema_metadata(table.schema.metadata | entries)
+    trace = dataclasses.replace(run.trace, rows=table)
+    distance, rate = trace["pair_distance_m"].copy(), trace["pair_rate_m_s"]
+    leaving = ((rate > 1e-4) | (distance > 0.8 * 0.1)).all(axis=1) & (job == "retreat")
+    distance[np.ix_(holders == "probe=nurse", [2, 5])] = np.inf
+    whole = summarise(trace)
+    monkeypatch.setattr("workcell.trace.table._ROW_GROUP_ROWS", 64)
+    np.testing.assert_array_equal(smallest_distance_m(trace), distance.min(axis=1))
+    assert (smallest_distance_m(trace) > trace["pair_distance_m"].min(axis=1)).any()
+    assert leaving.any()
+    found = summarise(trace)
+    assert found["nurse.retreat_smallest_scale"] == trace["nurse.scale"][leaving].min()
+    assert found == whole
+    assert whole["nurse.distance_decay_s"] == summary["nurse.distance_decay_s"]
+
+
 def test_a_summary_is_json(summary):
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
@@ -150,7 +180,7 @@ def with_column(trace, name, values):
     place = trace.table.column_names.index(name)
     field = trace.table.schema.field(place)
     table = trace.table.set_column(place, field, pa.array(values, field.type))
-    return dataclasses.replace(trace, table=table)
+    return dataclasses.replace(trace, rows=table)
 
 
 def test_only_what_the_time_to_collision_bounds_counts_as_scaling(run):

@@ -172,6 +172,49 @@ def test_a_long_run_crosses_row_groups(tmp_path, monkeypatch):
     assert load(tmp_path)["tick"].tolist() == list(range(50))
 
 
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_column_in_blocks_is_the_column(tmp_path, monkeypatch, closed):
+    """Nulls, strings and vectors alike, from the file and from a journal."""
+    monkeypatch.setattr("workcell.trace.table._ROW_GROUP_ROWS", 16)
+    writer = write(tmp_path, 50, close=closed, flush_s=7 * PERIOD_S)
+    writer.flush()
+    trace = load(tmp_path)
+    assert trace.digest() == dataclasses.replace(trace, rows=trace.table).digest()
+    ticks = np.array([3, 4, 40, 49])
+    for column in columns(LAYOUT):
+        whole = np.array([row[column.name] is None for row in map(make_row, range(50))])
+        values = trace[column.name]
+        blocks = list(trace.blocks(column.name))
+        assert [start for start, _ in blocks] == [0, 16, 32, 48]
+        np.testing.assert_array_equal(np.concatenate([block for _, block in blocks]), values)
+        some = [start for start, _ in trace.blocks(column.name, ticks)]
+        assert some == [0, 32, 48], "a block without any of the ticks is passed over"
+        if column.width:
+            np.testing.assert_array_equal(np.isnan(values).all(axis=1), whole)
+            last = [column.width - 1]
+            np.testing.assert_array_equal(trace.part(column.name, ticks), values[ticks])
+            part = trace.part(column.name, ticks, last)
+            np.testing.assert_array_equal(part, values[ticks][:, last])
+            assert trace.part(column.name, entries=last).strides == values[:, last].strides
+    with pytest.raises(TraceError, match="no column 'ttc'"):
+        next(trace.blocks("ttc"))
+
+
+def test_what_is_read_is_what_was_verified(tmp_path):
+    """A folder that is recorded anew, or a file damaged under way, never mixes into a trace at hand."""
+    write(tmp_path, 50)
+    trace = load(tmp_path)
+    write(tmp_path, 3)
+    assert trace["tick"].tolist() == list(range(50))
+    again = load(tmp_path)
+    content = again.source.read_bytes()
+    chunk = pq.ParquetFile(again.source).metadata.row_group(0).column(2)
+    middle = chunk.data_page_offset + chunk.total_compressed_size // 2
+    again.source.write_bytes(flip(content, middle, 3))
+    with pytest.raises(TraceError, match="damaged"):
+        again[columns(LAYOUT)[2].name]
+
+
 def test_a_killed_run_leaves_its_rows(tmp_path):
     code = (
         "import sys; sys.path.insert(0, sys.argv[2])\n"

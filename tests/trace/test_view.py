@@ -61,7 +61,7 @@ def test_every_change_of_mode_is_an_event(run, content):
 
 def test_a_recording_knows_what_it_was_made_of(run, recording, tmp_path, monkeypatch):
     assert view.is_current(recording, run.trace)
-    other = dataclasses.replace(run.trace, table=run.trace.table.slice(1))
+    other = dataclasses.replace(run.trace, rows=run.trace.table.slice(1))
     assert not view.is_current(recording, other)
     monkeypatch.setattr(view, "VIEW_VERSION", view.VIEW_VERSION + 1)
     assert not view.is_current(recording, run.trace)

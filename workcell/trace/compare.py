@@ -151,7 +151,7 @@ class Comparison:
 
 def excerpt(trace: Trace, *, skip: tuple[str, ...] = ()) -> Excerpt:
     """The whole of a trace, as a comparison wants it."""
-    known = [c for c in columns(trace.layout) if c.name in trace.table.column_names]
+    known = [c for c in columns(trace.layout) if c.name in trace.column_names]
     values = {c.name: trace[c.name] for c in known if c.signal.name not in skip}
     return Excerpt(
         source=str(trace.source),
@@ -175,17 +175,22 @@ def identity(trace: Trace) -> Identity:
     )
 
 
-def ties(trace: Trace, index: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """(T, P) the pairs as far apart and closing as fast as the indexed one, itself among them.
+def ties(
+    trace: Trace, index: NDArray[np.integer], ticks: NDArray[np.integer] | None = None
+) -> NDArray[np.bool_]:
+    """(R, P) the pairs as far apart and closing as fast as the indexed one, itself among them.
+
+    At rising `ticks`, for which `index` is given; None stands for all.
 
     Two capsules that share an end point have exactly equal distances to a third body that is
     nearest there, and the last bit decides which of the pairs is named.
     """
-    tied = np.zeros((len(trace), len(trace.layout.pairs)), dtype=bool)
+    tied = np.zeros((len(index), len(trace.layout.pairs)), dtype=bool)
     rows = np.flatnonzero(index >= 0)
+    known = rows if ticks is None else ticks[rows]
     tied[rows] = True
     for name in ("pair_distance_m", "pair_rate_m_s"):
-        values = trace[name][rows]
+        values = trace.part(name, known)
         atol = next(c.signal.atol for c in columns(trace.layout) if c.name == name)
         own = np.take_along_axis(values, index[rows, None].astype(np.intp), axis=1)
         tied[rows] &= np.abs(values - own) <= atol

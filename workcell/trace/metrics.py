@@ -8,6 +8,7 @@ scenario, and pairs that are meant to meet from `meeting_pairs`, a list of [geom
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,19 +124,35 @@ def smallest_distance_m(trace: Trace, *, apart_only: bool = False) -> Floats:
     Args:
         apart_only: Leave out the pairs that are meant to meet.
     """
-    keep = np.ones(len(trace.layout.pairs), dtype=bool)
-    if apart_only:
-        meeting = {frozenset(pair) for pair in trace.metadata.get("meeting_pairs", [])}
-        keep = np.array([frozenset(pair) not in meeting for pair in trace.layout.pairs], dtype=bool)
-    distance = trace["pair_distance_m"]
+    return _smallest_distances_m(trace, [_meant_to_keep(trace) if apart_only else None])[0]
+
+
+def _meant_to_keep(trace: Trace) -> NDArray[np.bool_]:
+    """(P,) the pairs that are not meant to meet."""
+    meeting = {frozenset(pair) for pair in trace.metadata.get("meeting_pairs", [])}
+    return np.array([frozenset(pair) not in meeting for pair in trace.layout.pairs], dtype=bool)
+
+
+def _smallest_distances_m(
+    trace: Trace, choices: Sequence[NDArray[np.bool_] | None]
+) -> tuple[Floats, ...]:
+    """`smallest_distance_m` for several choices of pairs (None: all) in one go through the trace, each (T,)."""
+    smallest = tuple(np.full(len(trace), np.inf) for _ in choices)
     hands = trace.metadata.get("hands", {})
-    if hands:
-        distance = distance.copy()
-        holders = trace["holders"].astype(str)
-        for held, pairs in hands.items():
-            ticks = np.char.find(np.char.add(np.char.add(" ", holders), " "), f" {held} ") >= 0
-            distance[np.ix_(np.flatnonzero(ticks), pairs)] = np.inf
-    return distance[:, keep].min(axis=1, initial=np.inf)
+    holders = trace["holders"] if hands else None
+    for start, distance in trace.blocks("pair_distance_m"):
+        ticks = slice(start, start + len(distance))
+        if holders is not None:
+            held_now = np.char.add(np.char.add(" ", holders[ticks].astype(str)), " ")
+            for held, pairs in hands.items():
+                held_ticks = np.flatnonzero(np.char.find(held_now, f" {held} ") >= 0)
+                if held_ticks.size:
+                    distance = distance.copy()
+                    distance[np.ix_(held_ticks, pairs)] = np.inf
+        for values, keep in zip(smallest, choices, strict=True):
+            chosen = distance if keep is None else distance[:, keep]
+            values[ticks] = chosen.min(axis=1, initial=np.inf)
+    return smallest
 
 
 def joint_columns(trace: Trace, arm: str) -> list[int]:
@@ -211,8 +228,7 @@ def longest_scaling(trace: Trace, arm: str) -> Span | None:
 
 
 def _distances(trace: Trace) -> dict[str, Metric]:
-    smallest = smallest_distance_m(trace)
-    apart = smallest_distance_m(trace, apart_only=True)
+    smallest, apart = _smallest_distances_m(trace, [None, _meant_to_keep(trace)])
     check = trace["check_distance_m"]
     known = check[np.isfinite(check)]
     result: dict[str, Metric] = {
@@ -225,7 +241,7 @@ def _distances(trace: Trace) -> dict[str, Metric]:
     }
     if trace.layout.pairs:
         tick = int(np.argmin(smallest))
-        pair = int(np.argmin(trace["pair_distance_m"][tick]))
+        pair = int(np.argmin(trace.part("pair_distance_m", np.array([tick]))[0]))
         result["smallest_distance_m"] = float(smallest[tick])
         result["smallest_distance_pair"] = " and ".join(trace.layout.pairs[pair])
         result["smallest_distance_time_s"] = float(trace["time_s"][tick])
@@ -307,16 +323,19 @@ def _arm(trace: Trace, arm: str) -> dict[str, Metric]:
     time_s, dt_s = trace["time_s"], period_s(trace)
     scale = trace[f"{arm}.scale"]
     speed = trace[f"{arm}.tool_speed_m_s"]
-    command = trace["command_rad_s"][:, joint_columns(trace, arm)]
+    command = trace.part("command_rad_s", entries=joint_columns(trace, arm))
     span = longest_scaling(trace, arm)
     halted = np.flatnonzero(trace["mode"] == "halt")
     distance_decay = speed_decay = closing_decay = None
     if span is not None:
-        window = slice(span.start, span.stop)
-        pair = int(trace[f"{arm}.limiting_pair"][span.start])
-        distance_decay = decay_time_s(time_s[window], trace["pair_distance_m"][window, pair])
+        window = np.arange(span.start, span.stop)
+        pair = [int(trace[f"{arm}.limiting_pair"][span.start])]
+        distance, rate = (
+            trace.part(name, window, pair)[:, 0] for name in ("pair_distance_m", "pair_rate_m_s")
+        )
+        distance_decay = decay_time_s(time_s[window], distance)
         speed_decay = decay_time_s(time_s[window], speed[window])
-        closing_decay = decay_time_s(time_s[window], -trace["pair_rate_m_s"][window, pair])
+        closing_decay = decay_time_s(time_s[window], -rate)
     return {
         "path_done_s": _path_done_s(trace, arm),
         "peak_tool_speed_m_s": float(speed.max()),
@@ -352,7 +371,7 @@ def _path_done_s(trace: Trace, arm: str) -> float | None:
 
 def _hand_overs(trace: Trace) -> dict[str, Metric]:
     """How often instruments changed hands, and how many a minute reached an arm that a person drives."""
-    holders = trace["holders"].astype(str)
+    holders = trace["holders"]
     changed = np.flatnonzero(holders[1:] != holders[:-1]) + 1
     if not changed.size and not (holders != "").any():
         return {}
@@ -398,10 +417,16 @@ def _retreating(trace: Trace, arm: str) -> dict[str, Metric]:
         return {}
     reach_m = t_min_s * max(job["speed_m_s"] for job in retreats)
     mine = [any(g.startswith(f"{arm}/") for g in pair) for pair in trace.layout.pairs]
-    distance, rate = trace["pair_distance_m"][:, mine], trace["pair_rate_m_s"][:, mine]
-    leaving = ((rate > STANDING_M_S) | (distance > reach_m)).all(axis=1)
-    ticks = leaving & (trace[f"{arm}.job"] == RETREAT_JOB)
-    scale = trace[f"{arm}.scale"][ticks]
+    retreating = np.flatnonzero(trace[f"{arm}.job"] == RETREAT_JOB)
+    leaving = np.zeros(len(trace), dtype=bool)
+    for (start, distance), (_, rate) in zip(
+        trace.blocks("pair_distance_m", retreating),
+        trace.blocks("pair_rate_m_s", retreating),
+        strict=True,
+    ):
+        opens = (rate[:, mine] > STANDING_M_S) | (distance[:, mine] > reach_m)
+        leaving[start : start + len(opens)] = opens.all(axis=1)
+    scale = trace[f"{arm}.scale"][retreating[leaving[retreating]]]
     return {"retreat_smallest_scale": float(scale.min()) if scale.size else None}
 
 

@@ -92,7 +92,7 @@ class States:
 
 def states(trace: Trace) -> States:
     """What the controller of a run was fed at every tick."""
-    known = trace.table.column_names
+    known = trace.column_names
     return States(
         trace["qpos"],
         trace["qvel"],
@@ -203,7 +203,7 @@ def write_rows(path: Path, trace: Trace, *, skip: Sequence[str] = ()) -> None:
             continue
         values = trace[column.name]
         if column.signal.name in PAIR_INDICES:
-            tied = ties(trace, values)[ticks]
+            tied = ties(trace, values[ticks], ticks)
             header.append(column.name)
             texts.append(["|".join(str(k) for k in np.flatnonzero(row)) for row in tied])
         elif column.signal.shape == "pairs":

@@ -9,7 +9,6 @@ checksums of its pages and a hash of rows and metadata.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import time
@@ -25,22 +24,22 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from workcell.errors import TraceError
 from workcell.signals import SCHEMA_VERSION, Column, Layout, columns
 from workcell.trace.digest import TableDigest
 from workcell.trace.journal import JournalReader, JournalWriter
+from workcell.trace.stored import INTEGRITY_KEY, StoredTable, integrity, pieces_of
 
 TRACE_NAME = "trace.parquet"
 JOURNAL_NAME = "trace.arrows"
 
-INTEGRITY_KEY = b"integrity_sha256"
-"""Metadata entry with the hash over rows and metadata."""
 _LAYOUT_KEYS = ("schema_version", "arms", "joints", "nq", "nv", "pairs")
 
 _ROW_GROUP_ROWS = 8192
-"""Rows a parquet row group holds: chosen so that a conversion needs some ten megabytes whatever
-the length of the run, while columns stay long enough to compress."""
+"""Rows a parquet row group holds, and a block of a column: chosen so that a conversion needs some ten
+megabytes whatever the length of the run, while columns stay long enough to compress."""
 
 _LIST = pa.list_(pa.field("element", pa.float64(), nullable=False))
 
@@ -276,10 +275,13 @@ def schema(layout: Layout, metadata: Mapping[str, str]) -> pa.Schema:
 
 @dataclass(frozen=True, repr=False)
 class Trace:
-    """A trace read back; `trace["time_s"]` is a column as a NumPy array."""
+    """A trace read back; `trace["time_s"]` is a column as a NumPy array.
 
-    table: pa.Table
-    """The rows, as stored."""
+    The rows of a parquet file stay in it, and a column is read whenever it is asked for.
+    """
+
+    rows: pa.Table | StoredTable
+    """The rows, in memory or in their file."""
     source: Path
     """The file they were read from."""
     torn_bytes: int = 0
@@ -289,26 +291,82 @@ class Trace:
         return f"Trace({str(self.source)!r}, {len(self)} rows)"
 
     def __len__(self) -> int:
-        return self.table.num_rows
+        return self.rows.num_rows
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Column as an array: (T,) for a scalar, (T, n) for a vector.
 
-        Null floats are NaN, null indices -1; strings come as an object array.
+        Null floats are NaN, null indices -1; strings come as an object array. The vectors over
+        pairs of a long run fill gigabytes: `blocks` and `part` go without.
         """
-        if name not in self.table.column_names:
-            if name in {column.name for column in columns(self.layout)}:
-                raise TraceError(f"{self.source}: is from before column {name!r} was logged")
-            known = ", ".join(self.table.column_names)
-            raise TraceError(f"{self.source}: no column {name!r}; there are {known}")
-        array = self.table.column(name).combine_chunks()
-        if pa.types.is_list(array.type):
-            return self._vector(name, array)
-        if pa.types.is_string(array.type):
-            return array.to_numpy(zero_copy_only=False)
-        if pa.types.is_integer(array.type) and array.null_count:
-            array = array.fill_null(-1)
-        return array.to_numpy(zero_copy_only=False)
+        if pa.types.is_list(self._type(name)):
+            return self.part(name)
+        if isinstance(self.rows, StoredTable):
+            return self._array(name, self.rows.column(name))
+        return self._array(name, self.rows.column(name).combine_chunks())
+
+    def blocks(
+        self, name: str, ticks: NDArray[np.integer] | None = None
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Goes through a column in blocks of rows, so that it need not be held as a whole.
+
+        Args:
+            name: The column.
+            ticks: (R,) rows that matter, rising; blocks without any of them are not read.
+
+        Yields:
+            First row and values, as `trace[name]` has them.
+        """
+        self._type(name)
+        wanted = None if ticks is None else ticks.tolist()
+        if isinstance(self.rows, StoredTable):
+            pieces = self.rows.pieces(name, wanted)
+        else:
+            pieces = pieces_of(self.rows, name, wanted, _ROW_GROUP_ROWS)
+        for start, values in pieces:
+            yield start, self._array(name, values.combine_chunks())
+
+    def part(
+        self,
+        name: str,
+        ticks: NDArray[np.integer] | None = None,
+        entries: list[int] | None = None,
+    ) -> np.ndarray:
+        """Some rows and entries of a vector, with no more of it in memory than a block.
+
+        Args:
+            name: The column.
+            ticks: (R,) rows to take, rising; None takes all.
+            entries: Entries to take; None takes all.
+
+        Returns:
+            (R, m), equal to `trace[name][ticks][:, entries]`.
+        """
+        self._type(name)
+        count = len(self) if ticks is None else len(ticks)
+        if entries is None:
+            taken = np.empty((count, self._width(name)))
+        else:
+            # In memory as NumPy lays out `[:, entries]`: sums over entries round alike.
+            taken = np.empty((len(entries), count)).T
+        for start, block in self.blocks(name, ticks):
+            stop = start + len(block)
+            if ticks is not None:
+                first, last = np.searchsorted(ticks, [start, stop])
+                block = block[ticks[first:last] - start]
+                start, stop = first, last
+            taken[start:stop] = block if entries is None else block[:, entries]
+        return taken
+
+    @property
+    def table(self) -> pa.Table:
+        """All rows in memory, as stored."""
+        return self.rows.read() if isinstance(self.rows, StoredTable) else self.rows
+
+    @property
+    def column_names(self) -> list[str]:
+        """Columns it has; one of an older workcell lacks those that have come since."""
+        return self.rows.schema.names
 
     @cached_property
     def layout(self) -> Layout:
@@ -327,7 +385,7 @@ class Trace:
         """File metadata; entries that are JSON objects or lists are parsed, the rest is text."""
         return {
             key.decode(): json.loads(value) if value[:1] in (b"{", b"[") else value.decode()
-            for key, value in (self.table.schema.metadata or {}).items()
+            for key, value in (self.rows.schema.metadata or {}).items()
             if key != INTEGRITY_KEY
         }
 
@@ -336,13 +394,34 @@ class Trace:
 
         Metadata is left out: equal motions on two machines have equal digests.
         """
-        digest = TableDigest(self.table.schema)
-        for batch in self.table.to_batches():
+        if isinstance(self.rows, StoredTable):
+            return self.rows.digest
+        digest = TableDigest(self.rows.schema)
+        for batch in self.rows.to_batches():
             digest.update(batch)
         return digest.hexdigest()
 
+    def _type(self, name: str) -> pa.DataType:
+        """Type of a column that must be there."""
+        if name not in self.column_names:
+            if name in {column.name for column in columns(self.layout)}:
+                raise TraceError(f"{self.source}: is from before column {name!r} was logged")
+            known = ", ".join(self.column_names)
+            raise TraceError(f"{self.source}: no column {name!r}; there are {known}")
+        return self.rows.schema.field(name).type
+
+    def _width(self, name: str) -> int:
+        return {column.name: column.width or 0 for column in columns(self.layout)}[name]
+
+    def _array(self, name: str, array: pa.Array) -> np.ndarray:
+        if pa.types.is_list(array.type):
+            return self._vector(name, array)
+        if pa.types.is_integer(array.type) and array.null_count:
+            array = array.fill_null(-1)
+        return array.to_numpy(zero_copy_only=False)
+
     def _vector(self, name: str, array: pa.ListArray) -> np.ndarray:
-        width = {column.name: column.width or 0 for column in columns(self.layout)}[name]
+        width = self._width(name)
         values = array.flatten().to_numpy(zero_copy_only=False)
         if not array.null_count:
             return values.reshape(len(array), width)
@@ -379,7 +458,7 @@ def load(path: Path | str) -> Trace:
                 stacklevel=2,
             )
     else:
-        trace = Trace(_read_parquet(path), path)
+        trace = Trace(StoredTable(path), path)
     _check_schema(trace)
     return trace
 
@@ -408,8 +487,7 @@ def convert(journal: Path, target: Path) -> None:
                 writer.write_table(table)
                 for batch in table.to_batches():
                     digest.update(batch)
-            integrity = _integrity(digest, batches.schema)
-            writer.add_key_value_metadata({INTEGRITY_KEY: integrity})
+            writer.add_key_value_metadata({INTEGRITY_KEY: integrity(digest, batches.schema)})
         os.replace(temporary, target)
     except OSError as error:
         raise TraceError(f"{target}: cannot be written: {error}") from error
@@ -452,35 +530,8 @@ def _regroup(batches: Iterator[pa.RecordBatch] | JournalReader) -> Iterator[pa.T
         yield pa.Table.from_batches(waiting).combine_chunks()
 
 
-def _integrity(digest: TableDigest, table_schema: pa.Schema) -> bytes:
-    """Hash of rows and metadata: page checksums leave the footer, where metadata is, uncovered."""
-    entries = sorted((table_schema.metadata or {}).items())
-    whole = hashlib.sha256(digest.hexdigest().encode())
-    for key, value in entries:
-        if key != INTEGRITY_KEY:
-            whole.update(b"%d %b %d %b" % (len(key), key, len(value), value))
-    return whole.hexdigest().encode()
-
-
-def _read_parquet(path: Path) -> pa.Table:
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            stored = (file.metadata.metadata or {}).get(INTEGRITY_KEY)
-            table = file.read()
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        raise TraceError(f"{path}: is damaged or no parquet file: {error}") from error
-    if stored is None:
-        raise TraceError(f"{path}: has no entry {INTEGRITY_KEY.decode()}: not a trace, or damaged")
-    digest = TableDigest(table.schema)
-    for batch in table.to_batches():
-        digest.update(batch)
-    if _integrity(digest, table.schema) != stored:
-        raise TraceError(f"{path}: is damaged: rows and metadata do not match the stored hash")
-    return table
-
-
 def _check_schema(trace: Trace) -> None:
-    entries = trace.table.schema.metadata or {}
+    entries = trace.rows.schema.metadata or {}
     missing = [key for key in _LAYOUT_KEYS if key.encode() not in entries]
     if missing:
         raise TraceError(f"{trace.source}: metadata entries {', '.join(missing)} are missing")
@@ -491,7 +542,7 @@ def _check_schema(trace: Trace) -> None:
             "the newest this workcell reads"
         )
     known = {column.name for column in columns(trace.layout)}
-    unknown = [name for name in trace.table.column_names if name not in known]
+    unknown = [name for name in trace.column_names if name not in known]
     if unknown:
         raise TraceError(
             f"{trace.source}: unknown columns {', '.join(unknown)}: it is from a newer workcell"

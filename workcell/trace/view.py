@@ -58,6 +58,8 @@ DANGER_MARGIN = 1.05
 
 _APPLICATION = "workcell"
 _CHUNK_ROWS = 4096
+_FRAME_BLOCK = 512
+"""Instants whose poses are held in double precision; chosen for a few megabytes."""
 _CAPSULE_ALPHA = 110
 _FALLBACK_T_MIN_S = 1.0
 """Only scales the axis of a trace that carries no t_min."""
@@ -154,27 +156,71 @@ def viewer_binary() -> Path:
 
 
 class _Frames:
-    """Poses of all bodies at the instants that are drawn."""
+    """Poses of all that moves at the instants that are drawn.
+
+    Kept as they are sent, in single precision, and only of what is drawn: a run of ten minutes has
+    thirty thousand instants.
+    """
 
     def __init__(self, trace: Trace, model: mujoco.MjModel):
         every = max(1, round(GEOMETRY_PERIOD_S / period_s(trace))) if len(trace) > 1 else 1
         self.rows = np.arange(0, len(trace), every)
         """Rows of the trace that are drawn, (K,)."""
-        qpos = trace["qpos"][self.rows]
+        qpos = trace.part("qpos", self.rows)
+        bodies = np.array(sorted({int(model.geom_bodyid[g]) for g in range(model.ngeom)}))
+        capsules = np.flatnonzero([_is_watched(model, g) for g in range(model.ngeom)])
+        self._body_place = {body: k for k, body in enumerate(bodies.tolist())}
+        self._capsule_place = {geom: k for k, geom in enumerate(capsules.tolist())}
+        count = len(qpos)
+        self._body_m = np.empty((len(bodies), count, 3), np.float32)
+        self._body_xyzw = np.empty((len(bodies), count, 4), np.float32)
+        self._capsule_m = np.empty((count, len(capsules), 3), np.float32)
+        self._capsule_xyzw = np.empty((count, len(capsules), 4), np.float32)
+        moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0)
+        corners = moving if len(moving) else np.arange(model.ngeom)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
         data = mujoco.MjData(model)
-        self.position_m = np.empty((len(qpos), model.nbody, 3))
-        self.wxyz = np.empty((len(qpos), model.nbody, 4))
-        self.geom_position_m = np.empty((len(qpos), model.ngeom, 3))
-        self.geom_xmat = np.empty((len(qpos), model.ngeom, 9))
-        for k, q in enumerate(qpos):
-            data.qpos[:] = q
-            mujoco.mj_kinematics(model, data)
-            self.position_m[k], self.wxyz[k] = data.xpos, data.xquat
-            self.geom_position_m[k], self.geom_xmat[k] = data.geom_xpos, data.geom_xmat
-        moving = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] != 0]
-        corners = self.geom_position_m[:, moving or slice(None)]
-        self.centre_m = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2
-        self.extent_m = max(float(np.ptp(corners, axis=(0, 1)).max()), 0.1)
+        for start in range(0, count, _FRAME_BLOCK):
+            block = slice(start, start + _FRAME_BLOCK)
+            some = qpos[block]
+            position_m, wxyz = (
+                np.empty((len(some), model.nbody, 3)),
+                np.empty((len(some), model.nbody, 4)),
+            )
+            geom_m, geom_xmat = (
+                np.empty((len(some), model.ngeom, 3)),
+                np.empty((len(some), model.ngeom, 9)),
+            )
+            for k, q in enumerate(some):
+                data.qpos[:] = q
+                mujoco.mj_kinematics(model, data)
+                position_m[k], wxyz[k] = data.xpos, data.xquat
+                geom_m[k], geom_xmat[k] = data.geom_xpos, data.geom_xmat
+            self._body_m[:, block] = position_m[:, bodies].swapaxes(0, 1)
+            self._body_xyzw[:, block] = wxyz[:, bodies][..., [1, 2, 3, 0]].swapaxes(0, 1)
+            self._capsule_m[block] = geom_m[:, capsules]
+            matrices = geom_xmat[:, capsules].reshape(-1, 9).astype(np.float32)
+            self._capsule_xyzw[block] = _xyzw(matrices).reshape(len(some), len(capsules), 4)
+            low = np.minimum(low, geom_m[:, corners].min(axis=(0, 1)))
+            high = np.maximum(high, geom_m[:, corners].max(axis=(0, 1)))
+        self.centre_m = (low + high) / 2
+        self.extent_m = max(float((high - low).max()), 0.1)
+
+    def body(self, body: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Positions (K, 3) and orientations (K, 4), last entry real, of a body that has geoms."""
+        place = self._body_place[body]
+        return self._body_m[place], self._body_xyzw[place]
+
+    def capsules(self, geoms: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Positions (K, n, 3) and orientations (K, n, 4), last entry real, of watched geoms."""
+        places = [self._capsule_place[geom] for geom in geoms]
+        return self._capsule_m[:, places], self._capsule_xyzw[:, places]
+
+
+def _is_watched(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether it is one of the round geoms that stand for a robot's links."""
+    rounds = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE))
+    return model.geom_group[geom] == WATCHED_GROUP and model.geom_type[geom] in rounds
 
 
 def _load_scene(trace: Trace, scene_xml: Path | str) -> mujoco.MjModel:
@@ -317,8 +363,7 @@ def _log_geometry(
     arms = trace.layout.arms
     for body, entity, surface in body_surfaces(model, arms):
         recording.log(entity, surface, static=True)
-        position = frames.position_m[:, body].astype(np.float32)
-        xyzw = frames.wxyz[:, body][:, [1, 2, 3, 0]].astype(np.float32)
+        position, xyzw = frames.body(body)
         if model.body_weldid[body] == 0:
             pose = rr.Transform3D(translation=position[0], quaternion=rr.Quaternion(xyzw=xyzw[0]))
             recording.log(entity, pose, static=True)
@@ -366,13 +411,10 @@ def _log_capsules(
     colour: Rgb,
 ) -> None:
     """The watched capsules and spheres of an arm: shapes once, their poses as columns."""
-    rounds = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE))
     geoms = [
         geom
         for geom in range(model.ngeom)
-        if model.geom_group[geom] == WATCHED_GROUP
-        and model.geom_type[geom] in rounds
-        and model.geom(geom).name.startswith(f"{arm}/")
+        if _is_watched(model, geom) and model.geom(geom).name.startswith(f"{arm}/")
     ]
     if not geoms:
         return
@@ -391,14 +433,12 @@ def _log_capsules(
         ),
         static=True,
     )
-    position = frames.geom_position_m[:, geoms].astype(np.float32)
-    matrix = frames.geom_xmat[:, geoms].reshape(len(position), len(geoms), 3, 3)
-    matrix = matrix.astype(np.float32)
+    position, xyzw = frames.capsules(geoms)
     _send(
         recording, trace, entity, frames.rows,
         lambda s: rr.InstancePoses3D.columns(
             translations=position[s].reshape(-1, 3),
-            quaternions=_xyzw(matrix[s].reshape(-1, 9)),
+            quaternions=xyzw[s].reshape(-1, 4),
         ).partition([len(geoms)] * len(position[s])),
     )  # fmt: skip
 
