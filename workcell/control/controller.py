@@ -31,7 +31,6 @@ from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import IkSolution
 from workcell.control.kernels.library import ArrayFunction
-from workcell.control.ladder import STANDSTILL_FACTOR
 from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.scaling import (
@@ -427,7 +426,7 @@ class Controller:
             return
         wanted = arm.wanted_rad_s
         arm.command_before_rad_s = arm.command_rad_s
-        if bound.factor < STANDSTILL_FACTOR and self._is_left(arm, row.limiting_pair):
+        if bound.factor < 1.0 and self._is_left(arm, row.limiting_pair):
             self._slide(arm, row, proximity, other[owned])
             return
         interval = acceleration_interval(
@@ -440,7 +439,9 @@ class Controller:
         arm.command_rad_s = factor * wanted
         reason = "" if choice.limiter == "none" else choice.limiter
         if self._settings.slow_down == "ttc" and self._keeps_rule:
-            factor, forced = self._keep(arm, factor, wanted, proximity, other[owned])
+            factor, forced = self._keep(
+                arm, factor, wanted, proximity, other[owned], choice.limiter == "infeasible"
+            )
             reason = "other_arm" if forced else reason
         arm.factor = -factor if rung.attempt == "back_off" else factor
         row.scale = arm.factor
@@ -495,12 +496,14 @@ class Controller:
         wanted_rad_s: NDArray[np.float64],
         proximity: Proximity,
         other: NDArray[np.float64],
+        infeasible: bool,
     ) -> tuple[float, bool]:
         """Leave the path where the joints cannot slow down along it as fast as the times to collision ask.
 
         One joint that already brakes as hard as it can keeps the factor up for all; the others can
         still do more. The tool comes back to its path by its own correction. A pair that
-        standing does not keep is for giving way to; here it may only not be closed.
+        standing does not keep is for giving way to; here it may only not be closed. So, too, where the
+        joints cannot follow any factor: the command is what they can reach.
 
         Returns:
             The share of the wanted velocity that the command has, in [0, 1]; and whether a time falls
@@ -512,7 +515,7 @@ class Controller:
         allowance = (counted - self._settings.standoff_m) / self._settings.t_min_s
         slack = np.where(reached, AT_REST_M_S, TASK_SLACK_M_S)
         needed = np.minimum(-allowance - other, 0.0)
-        if (rows @ arm.command_rad_s < needed - slack).any():
+        if infeasible or (rows @ arm.command_rad_s < needed - slack).any():
             velocity = arm.ik.evade(
                 self._belief, arm.command_before_rad_s, arm.command_rad_s, rows, needed
             )
@@ -523,6 +526,7 @@ class Controller:
             arm.command_rad_s = velocity
             along = float(velocity @ wanted_rad_s)
             factor = min(1.0, max(0.0, along / max(float(wanted_rad_s @ wanted_rad_s), 1e-12)))
+            arm.governor.resume(factor)
         short = allowance + other + rows @ arm.command_rad_s < -slack
         if not short.any():
             arm.kept_other_m_s = other
