@@ -108,7 +108,7 @@ class Controller:
         self._silent = np.zeros(len(cell.pairs), dtype=bool)
         self._some_silent = False
         self._share_pairs()
-        self._keeps_rule = cell.scenario.sabotage.factor_multiplier == 1.0
+        self._keeps_rule = cell.scenario.sabotage.factor_multiplier == 1.0  # else it would mend it
         self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
         self._failure: BaseException | None = None
@@ -426,7 +426,8 @@ class Controller:
             return
         wanted = arm.wanted_rad_s
         arm.command_before_rad_s = arm.command_rad_s
-        if bound.factor < 1.0 and self._is_left(arm, row.limiting_pair):
+        by_time = self._settings.slow_down == "ttc"
+        if by_time and bound.factor < 1.0 and self._is_left(arm, row.limiting_pair):
             self._slide(arm, row, proximity, other[owned])
             return
         interval = acceleration_interval(
@@ -438,7 +439,7 @@ class Controller:
         factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
         arm.command_rad_s = factor * wanted
         reason = "" if choice.limiter == "none" else choice.limiter
-        if self._settings.slow_down == "ttc" and self._keeps_rule:
+        if by_time and self._keeps_rule:
             factor, forced = self._keep(
                 arm, factor, wanted, proximity, other[owned], choice.limiter == "infeasible"
             )
