@@ -31,6 +31,11 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scene(tmp_path_factory.mktemp("scene"))
 
 
+def is_stopped(pid: int) -> bool:
+    status = Path(f"/proc/{pid}/stat")
+    return not status.exists() or status.read_text().rpartition(")")[2].split()[0] == "T"
+
+
 def is_gone(pid: int) -> bool:
     """True if no process of that id runs (one that ended but is not reaped does not run)."""
     try:
@@ -209,6 +214,8 @@ def test_when_the_parent_dies_nothing_is_left(scene, then: str, stop_child: bool
     try:
         if stop_child:
             os.kill(pid, signal.SIGSTOP)
+            # On a busy machine it takes a while to stop; one that stops after its parent has gone stays.
+            assert wait_until(lambda: is_stopped(pid), 3.0)
         if "sleep" in then:
             assert not is_gone(pid)
             parent.kill()
