@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
+from workcell.motion.orientation import rotation_between, turned
 from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
-from workcell.motion.slew import rotation_between, turned
 from workcell.motion.wish import Wish
 
 PEAK_SPEED = 1.875

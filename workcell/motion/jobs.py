@@ -8,14 +8,15 @@ pose relative to another arm's tool. Where the place to go moves, the rest of th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from workcell import scenario
 from workcell.motion.operator import path_through
+from workcell.motion.orientation import pointing, turned_towards
 from workcell.motion.path import PathGeometry, Target, TimedPath, standing
 
 Vector = NDArray[np.float64]
@@ -30,6 +31,9 @@ REPLAN_S = 0.5
 APPROACH_M = 0.12
 """Length of the straight last stretch to a presentation pose or an instrument: chosen longer than a tool."""
 ENTRIES: tuple[scenario.Entry, ...] = ("left", "right", "above")
+_MEETINGS = (scenario.Meet, scenario.Fetch, scenario.Exchange)
+_Aimed = scenario.Meet | scenario.Fetch | scenario.Exchange | scenario.Present | scenario.Put
+"""Jobs that go where something else is, which may move."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,8 @@ class JobSequence:
         self._arm = arm
         self._d_min_m = d_min_m
         self._index = -1
+        self._current: scenario.Job | None = None
+        """The present job; None before the first and after the last."""
         self._target = standing(position_m, wxyz)
         self._travelled: list[tuple[PathGeometry, float]] = []
         self._legs: list[_Leg] = []
@@ -123,6 +129,12 @@ class JobSequence:
         self._entries_tried = 0
         self._since_plan_s = 0.0
         self.clock_s = 0.0
+        self.meeting: Meeting | None = None
+        """What the arm is meant to meet now; after a meeting, until it has retreated, what it leaves."""
+        self.retreats = False
+        """Whether the present job is to get away."""
+        self.free_rotation = False
+        """Whether the present job leaves the rotation about the tool's axis free."""
         self.finished = 0
         """How many jobs have been done."""
         self.switched = False
@@ -148,16 +160,6 @@ class JobSequence:
         return self._index >= len(self._jobs)
 
     @property
-    def meeting(self) -> Meeting | None:
-        """What the arm is meant to meet now; after a meeting, until it has retreated, what it leaves."""
-        job = self._current
-        if isinstance(job, (scenario.Retreat, scenario.Wait)):
-            for earlier in reversed(self._jobs[: self._index]):
-                if not isinstance(earlier, scenario.Wait):
-                    return _meeting(earlier)
-        return _meeting(job)
-
-    @property
     def arrived(self) -> bool:
         """Whether a meeting has come as near as it may, and dwells."""
         return self._met
@@ -168,27 +170,9 @@ class JobSequence:
         return bool(self._legs) and not self._met
 
     @property
-    def retreats(self) -> bool:
-        """Whether the present job is to get away."""
-        return isinstance(self._current, scenario.Retreat)
-
-    @property
     def progress_s(self) -> float:
         """The clock as far as it means motion: at the end of a path it may go on, while the tool stands."""
         return min(self.clock_s, self._legs[0].path.duration_s) if self._legs else self.clock_s
-
-    @property
-    def free_rotation(self) -> bool:
-        """Whether the job leaves the rotation about the tool's axis free."""
-        job = self._current
-        return (
-            isinstance(job, (scenario.Move, scenario.Present, scenario.Retreat))
-            and job.free_rotation
-        )
-
-    @property
-    def _current(self) -> scenario.Job | None:
-        return self._jobs[self._index] if 0 <= self._index < len(self._jobs) else None
 
     def target(self) -> Target:
         """The pose and twist wanted at the present clock."""
@@ -229,14 +213,13 @@ class JobSequence:
         if job is None and self.done:
             return
         # Waiting is not slowed down.
-        waiting = self._met or isinstance(job, scenario.Wait)
+        waiting = self._met or (job is not None and job.kind == "wait")
         self.clock_s = max(0.0, self.clock_s + step_s * (1.0 if waiting else factor))
         self._since_plan_s += step_s
         if (
-            job is not None
+            around.meeting_distance_m <= self._d_min_m
             and not self._met
-            and _meeting(job) is not None
-            and around.meeting_distance_m <= self._d_min_m
+            and isinstance(job, _MEETINGS)
         ):
             self._arrive()
         if job is None or self._over(job):
@@ -256,9 +239,9 @@ class JobSequence:
         self.clock_s = 0.0
 
     def _over(self, job: scenario.Job) -> bool:
-        if isinstance(job, scenario.Wait):
+        if job.kind == "wait":
             return self.clock_s >= job.duration_s
-        if isinstance(job, (scenario.Meet, scenario.Fetch, scenario.Exchange)):
+        if isinstance(job, _MEETINGS):
             return self._met and self.clock_s >= job.dwell_s
         if not self._legs:  # a retreat with nothing travelled
             return True
@@ -290,7 +273,13 @@ class JobSequence:
         self.clock_s, self._met, self._legs = 0.0, False, []
         self.switched = self.began = True
         self._entry, self._entries_tried = self._preferred, 0
-        job = self._current
+        job = self._current = None if self.done else self._jobs[self._index]
+        self.meeting = self._to_meet_or_leave()
+        self.retreats = isinstance(job, scenario.Retreat)
+        self.free_rotation = (
+            isinstance(job, (scenario.Move, scenario.Present, scenario.Retreat))
+            and job.free_rotation
+        )
         if job is None or isinstance(job, scenario.Wait):
             self._target = standing(self._target.position_m, self._target.wxyz)
         elif isinstance(job, scenario.Retreat):
@@ -315,6 +304,15 @@ class JobSequence:
         else:
             self._plan(job, around)
 
+    def _to_meet_or_leave(self) -> Meeting | None:
+        """What the present job brings together, or what a retreat from it leaves, also while it waits before."""
+        job = self._current
+        if isinstance(job, (scenario.Retreat, scenario.Wait)):
+            for earlier in reversed(self._jobs[: self._index]):
+                if not isinstance(earlier, scenario.Wait):
+                    return _meeting(earlier)
+        return _meeting(job)
+
     def _plan(self, job: scenario.Job, around: Surroundings) -> None:
         """A path from the present target to where the job goes, from rest."""
         if isinstance(job, (scenario.Wait, scenario.Retreat)):
@@ -325,11 +323,15 @@ class JobSequence:
         if isinstance(job, scenario.Move):
             geometry = path_through(job.waypoints, position, wxyz)
         else:
-            goal, turned, toward = self._goal(job, around)
-            via = [] if toward is None else [goal - APPROACH_M * toward]
-            geometry = PathGeometry(
-                np.array([position, *via, goal]), np.array([wxyz, *[turned] * (len(via) + 1)])
-            )
+            goal, toward = self._goal(job, around)
+            if toward is None:
+                geometry = PathGeometry(np.array([position, goal]), np.array([wxyz, wxyz]))
+            else:
+                turned = turned_towards(wxyz, self._leading(job, around), toward)
+                geometry = PathGeometry(
+                    np.array([position, goal - APPROACH_M * toward, goal]),
+                    np.array([wxyz, turned, turned]),
+                )
         self._legs = [
             _Leg(
                 TimedPath(
@@ -341,40 +343,44 @@ class JobSequence:
         self.clock_s, self._since_plan_s, self.switched = 0.0, 0.0, True
         self._target = self._legs[0].path.target(0.0)
 
-    def _goal(
-        self,
-        job: scenario.Meet | scenario.Fetch | scenario.Exchange | scenario.Present | scenario.Put,
-        around: Surroundings,
-    ) -> tuple[Vector, Vector, Vector | None]:
-        """Where this arm's tool has to go, how it is turned there, and from where: the direction of the
-        straight last stretch, None where the way is straight anyhow."""
-        wxyz = self._target.wxyz
-        tool = around.tool_position_m[self._arm]
-        held = next((i for i in around.instruments.values() if i.holder == self._arm), None)
-        offset = np.zeros(3) if held is None else _end(held, tool) - tool
+    def _goal(self, job: _Aimed, around: Surroundings) -> tuple[Vector, Vector | None]:
+        """Where this arm's tool has to go, and from where: the direction of the straight last stretch,
+        None where the way is straight anyhow."""
         if isinstance(job, scenario.Fetch):
             item = around.instruments[job.instrument]
             # Its highest point: the upper end of one that stands, the middle of one that lies.
-            top = item.centre_m + np.array([0.0, 0.0, abs(item.axis_m[2])])
-            return top, _turned(wxyz, _pointing(wxyz), _DOWN), _DOWN
+            return item.centre_m - abs(item.axis_m[2]) * _DOWN, _DOWN
+        tool = around.tool_position_m[self._arm]
         if isinstance(job, scenario.Put):
             item = around.instruments[job.instrument]
-            turned = _turned(wxyz, offset / max(float(np.linalg.norm(offset)), 1e-9), _DOWN)
             # With the free end down, the centre is this far below the tool.
-            below = float(np.linalg.norm(item.centre_m - tool))
-            return item.place_m - below * _DOWN, turned, _DOWN
-        if isinstance(job, scenario.Exchange) and job.direction == "take":
-            # Gripped at the end that is free.
-            end = _end(around.instruments[job.instrument], around.tool_position_m[job.arm])
-            return end, wxyz, None
+            return item.place_m - _length(item.centre_m - tool) * _DOWN, _DOWN
         there = around.tool_position_m[job.arm]
         if isinstance(job, scenario.Present):
             entry = self._entry or job.entry
             toward = -_entry_direction(entry, around.base_position_m[job.arm], there)
             # The instrument will point along the tool once the tool has turned.
-            reach = job.distance_m + float(np.linalg.norm(offset))
-            return there - reach * toward, _turned(wxyz, _pointing(wxyz), toward), toward
-        return there - offset, wxyz, None
+            return there - (job.distance_m + _length(self._held_m(around))) * toward, toward
+        if isinstance(job, scenario.Exchange) and job.direction == "take":
+            # Gripped at the end that is free.
+            return _end(around.instruments[job.instrument], there), None
+        return there - self._held_m(around), None
+
+    def _leading(self, job: _Aimed, around: Surroundings) -> Vector:
+        """(3,) the unit vector, now, that points along the straight last stretch once the tool is turned: the tool's
+        axis, or what is to be put down."""
+        if isinstance(job, scenario.Put):
+            held = self._held_m(around)
+            return held / max(_length(held), 1e-9)
+        return pointing(self._target.wxyz)
+
+    def _held_m(self, around: Surroundings) -> Vector:
+        """(3,) from the tool to the free end of what it holds; zero if it holds nothing."""
+        tool = around.tool_position_m[self._arm]
+        for item in around.instruments.values():
+            if item.holder == self._arm:
+                return _end(item, tool) - tool
+        return np.zeros(3)
 
     def _has_moved(self, job: scenario.Job, around: Surroundings) -> bool:
         planned = self._legs[0].goal_m
@@ -385,7 +391,7 @@ class JobSequence:
         ):
             return False
         limit = REPLAN_PRESENT_M if isinstance(job, scenario.Present) else REPLAN_M
-        return float(np.linalg.norm(self._goal(job, around)[0] - planned)) > limit
+        return _length(self._goal(job, around)[0] - planned) > limit
 
 
 def _meeting(job: scenario.Job | None) -> Meeting | None:
@@ -400,37 +406,20 @@ def _meeting(job: scenario.Job | None) -> Meeting | None:
 
 def _end(instrument: Instrument, hand_m: Vector) -> Vector:
     """The end of an instrument that is away from the hand that holds it."""
-    ends = (instrument.centre_m + instrument.axis_m, instrument.centre_m - instrument.axis_m)
-    return max(ends, key=lambda end: float(np.linalg.norm(end - hand_m)))
+    outward = (instrument.centre_m - hand_m) @ instrument.axis_m >= 0.0
+    return instrument.centre_m + (instrument.axis_m if outward else -instrument.axis_m)
 
 
 def _entry_direction(entry: scenario.Entry, base_m: Vector, tool_m: Vector) -> Vector:
     """Unit vector from an arm's tool to the side named, left and right as seen from its base."""
     if entry == "above":
         return np.array([0.0, 0.0, 1.0])
-    forward = tool_m - base_m
-    left = np.array([-forward[1], forward[0], 0.0])
-    length = np.linalg.norm(left)
+    x, y, _ = (tool_m - base_m).tolist()
+    length = math.hypot(x, y)
     # A tool right above its base has no left: the world's y axis stands in.
-    left = left / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+    left = np.array([-y / length, x / length, 0.0] if length > 1e-6 else [0.0, 1.0, 0.0])
     return left if entry == "left" else -left
 
 
-def _pointing(wxyz: Vector) -> Vector:
-    """Direction of the tool's z axis in the world."""
-    return Rotation.from_quat(wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
-
-
-def _turned(wxyz: Vector, axis: Vector, direction: Vector) -> Vector:
-    """An orientation turned the shortest way so that a unit vector fixed to it points in a new direction."""
-    rotation = Rotation.from_quat(wxyz, scalar_first=True)
-    cross, cosine = np.cross(axis, direction), float(axis @ direction)
-    sine = float(np.linalg.norm(cross))
-    if sine < 1e-9:
-        # Opposite directions have no shortest way; any axis across is as good as another.
-        across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
-        half_turn = Rotation.from_rotvec(np.pi * across / np.linalg.norm(across))
-        turn = Rotation.identity() if cosine > 0 else half_turn
-    else:
-        turn = Rotation.from_rotvec(cross / sine * np.arctan2(sine, cosine))
-    return (turn * rotation).as_quat(scalar_first=True)
+def _length(vector: Vector) -> float:
+    return math.hypot(*vector.tolist())

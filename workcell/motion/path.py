@@ -9,7 +9,6 @@ stays on the curve.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
+
+from workcell.motion.cubic import Cubic
+from workcell.motion.orientation import angular_velocity, unit
 
 TURN_LENGTH_M_PER_RAD = 0.25
 """Turning counts as length, so that a turn on the spot takes time too; chosen: about a hand's distance from the wrist."""
@@ -108,40 +110,27 @@ class PathGeometry:
                 at * stretch, curve(at), bc_type="not-a-knot" if len(at) > 3 else "natural"
             )
         self._curve = curve
-        # The pieces are looked up once or twice a tick, in a tenth of the time a spline object takes.
-        self._knots = curve.x.tolist()
-        self._pieces = np.ascontiguousarray(curve.c.transpose(1, 0, 2))
+        self._table = Cubic(curve)
 
     def pose(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position and unit quaternion at a length along the curve, clamped to its ends."""
         if self.length_m == 0.0:
             return self.positions_m[0], self.wxyz[0]
-        value, _ = self._evaluate(s_m)
-        return value[:3], _unit(value[3:])
+        value = self._table.value(s_m)
+        return np.array(value[:3]), np.array(unit(value[3:]))
 
-    def slope(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Derivative of position (m/m) and orientation (rad/m, world frame) along the curve."""
-        return self.pose_and_slope(s_m)[2:]
-
-    def pose_and_slope(
-        self, s_m: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """`pose` and `slope` at one length together."""
-        if self.length_m == 0.0:
-            return self.positions_m[0], self.wxyz[0], np.zeros(3), np.zeros(3)
-        value, rate = self._evaluate(s_m)
-        wxyz = _unit(value[3:])
-        w, x, y, z = wxyz.tolist()
-        dw, dx, dy, dz = rate[3:].tolist()
-        # ω = 2 q̇ q*, vector part.
-        angular = 2.0 * np.array(
-            [
-                -dw * x + dx * w - dy * z + dz * y,
-                -dw * y + dx * z + dy * w - dz * x,
-                -dw * z - dx * y + dy * x + dz * w,
-            ]
+    def target(self, s_m: float, speed_m_s: float) -> Target:
+        """Pose at a length along the curve, clamped to its ends, and the twist at a speed along it; negative is backwards."""
+        if speed_m_s == 0.0 or self.length_m == 0.0:
+            return standing(*self.pose(s_m))
+        value, slope = self._table.value_and_slope(s_m)
+        wxyz = unit(value[3:])
+        return Target(
+            np.array(value[:3]),
+            np.array(wxyz),
+            np.array([speed_m_s * part for part in slope[:3]]),
+            np.array([speed_m_s * part for part in angular_velocity(wxyz, slope[3:])]),
         )
-        return value[:3], wxyz, rate[:3], angular
 
     def bend(self, s_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N,) how much the slope changes along the curve at evenly spaced lengths, turning counted as length, 1/m.
@@ -152,18 +141,9 @@ class PathGeometry:
             return np.zeros(len(s_m))
         value, rate = self._curve(s_m), self._curve(s_m, 1)
         wxyz = value[:, 3:] / np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
-        # ω = 2 q̇ q*, vector part.
-        angular = 2.0 * _product(rate[:, 3:], wxyz * [1.0, -1.0, -1.0, -1.0])
+        angular = np.transpose(angular_velocity(wxyz.T, rate[:, 3:].T))
         slope = np.hstack([rate[:, :3], TURN_LENGTH_M_PER_RAD * angular])
         return np.linalg.norm(np.gradient(slope, np.abs(s_m[1] - s_m[0]), axis=0), axis=1)
-
-    def _evaluate(self, s_m: float) -> NDArray[np.float64]:
-        """(2, 7) the curve of position and quaternion, and its derivative, at a length clamped to its ends."""
-        s = min(max(s_m, 0.0), self.length_m)
-        piece = min(max(bisect_right(self._knots, s) - 1, 0), len(self._pieces) - 1)
-        t = s - self._knots[piece]
-        powers = np.array([[t * t * t, t * t, t, 1.0], [3.0 * t * t, 2.0 * t, 1.0, 0.0]])
-        return powers @ self._pieces[piece]
 
 
 class TimedPath:
@@ -196,13 +176,12 @@ class TimedPath:
         distance = abs(self.end_m - self.start_m)
         self._sign = 1.0 if self.end_m >= self.start_m else -1.0
         # The two ramps together cover v * ramp, and ramp = 1.5 v / a.
-        self.speed_m_s = min(speed_m_s, np.sqrt(distance * acceleration_m_s2 / 1.5))
-        self._length_at = _slowed_in_bends(
+        self.speed_m_s = min(speed_m_s, math.sqrt(distance * acceleration_m_s2 / 1.5))
+        self._slowed = _slowed_in_bends(
             geometry, self.start_m, self.end_m, self.speed_m_s, acceleration_m_s2
         )
-        if self._length_at is not None:
-            distance = float(self._length_at.x[-1])
-            self._slope_at = self._length_at.derivative()
+        if self._slowed is not None:
+            distance = self._slowed.end
         self._ramp_s = 1.5 * self.speed_m_s / acceleration_m_s2
         self._cruise_s = distance / self.speed_m_s - self._ramp_s if self.speed_m_s > 0 else 0.0
         self._distance_m = distance
@@ -211,20 +190,16 @@ class TimedPath:
     def target(self, clock_s: float) -> Target:
         """Pose and twist at a time of the path's own clock, at rest outside its span."""
         travelled, speed = self._travel(clock_s)
-        if self._length_at is not None:
-            speed *= float(self._slope_at(travelled))
-            travelled = float(self._length_at(travelled))
-        s = self.start_m + self._sign * travelled
-        if speed == 0.0:
-            return standing(*self.geometry.pose(s))
-        position, wxyz, linear, angular = self.geometry.pose_and_slope(s)
-        return Target(position, wxyz, self._sign * speed * linear, self._sign * speed * angular)
+        if self._slowed is not None:
+            (travelled,), (share,) = self._slowed.value_and_slope(travelled)
+            speed *= share
+        return self.geometry.target(self.start_m + self._sign * travelled, self._sign * speed)
 
     def length_at(self, clock_s: float) -> float:
         """Length along the geometry at a time of the clock."""
-        travelled = self._travel(clock_s)[0]
-        if self._length_at is not None:
-            travelled = float(self._length_at(travelled))
+        travelled, _ = self._travel(clock_s)
+        if self._slowed is not None:
+            (travelled,) = self._slowed.value(travelled)
         return self.start_m + self._sign * travelled
 
     def _travel(self, clock_s: float) -> tuple[float, float]:
@@ -242,10 +217,6 @@ class TimedPath:
         return _ramp_up(clock_s, v, ramp)
 
 
-def _unit(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    return wxyz / math.hypot(*wxyz.tolist())
-
-
 def _peak_rate(curve: CubicSpline, samples: int) -> float:
     """Largest speed along a curve of position and quaternion, turning counted as length."""
     at = np.linspace(curve.x[0], curve.x[-1], samples)
@@ -258,7 +229,7 @@ def _peak_rate(curve: CubicSpline, samples: int) -> float:
 
 def _slowed_in_bends(
     geometry: PathGeometry, start_m: float, end_m: float, speed_m_s: float, acceleration_m_s2: float
-) -> PchipInterpolator | None:
+) -> Cubic | None:
     """Way along a curve for the way counted, both from the start; None where no bend needs less than the speed.
 
     The speed allowed is sqrt(share / bend) for a share of the acceleration, and rises from it and falls to
@@ -279,12 +250,7 @@ def _slowed_in_bends(
             allowed[k] = min(allowed[k], allowed[before] + gain)
     slowness = speed_m_s / np.sqrt(allowed)
     counted = np.concatenate([[0.0], np.cumsum(way[1] * (slowness[1:] + slowness[:-1]) / 2)])
-    return PchipInterpolator(counted, way)
-
-
-def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 3) vector part of the products of quaternions (N, 4), scalar first."""
-    return a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
+    return Cubic(PchipInterpolator(counted, way))
 
 
 def _ramp_up(time_s: float, speed_m_s: float, ramp_s: float) -> tuple[float, float]:

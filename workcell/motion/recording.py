@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from workcell import scenario
 from workcell.errors import InputError
+from workcell.motion.orientation import rotation_between, turned
 from workcell.motion.path import Target, standing
 from workcell.motion.samples import HAND_SPEED_M_S, HAND_TURN_RAD_S
-from workcell.motion.slew import Caps, TargetGovernor, rotation_between, turned
+from workcell.motion.slew import Caps, TargetGovernor
 from workcell.motion.wish import ENDED, GAP, JUMP, VALID, WAITING, Wish
 
 POSE_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.motion.slew import rotation_between
+from workcell.motion.orientation import rotation_between
 from workcell.motion.wish import (
     FROZEN,
     JUMP,

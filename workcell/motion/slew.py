@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from workcell.motion.orientation import rotation_between, turned
 from workcell.motion.path import Target, standing
 from workcell.motion.wish import CATCHING_UP, VALID
 
@@ -117,24 +117,6 @@ class TargetGovernor:
             last.position_m + dt * velocity, turned(last.wxyz, dt * spin), velocity, spin
         )
         return self.target
-
-
-def rotation_between(
-    from_wxyz: NDArray[np.float64], to_wxyz: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(3,) rotation vector, in the world frame, that turns one orientation into the other the short way."""
-    if np.array_equal(from_wxyz, to_wxyz):
-        return np.zeros(3)
-    there = Rotation.from_quat(to_wxyz, scalar_first=True)
-    return (there * Rotation.from_quat(from_wxyz, scalar_first=True).inv()).as_rotvec()
-
-
-def turned(wxyz: NDArray[np.float64], rotation_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4,) an orientation after a rotation vector in the world frame; unchanged by none."""
-    if not rotation_rad.any():
-        return wxyz
-    turn = Rotation.from_rotvec(rotation_rad)
-    return (turn * Rotation.from_quat(wxyz, scalar_first=True)).as_quat(scalar_first=True)
 
 
 def _keeps(
