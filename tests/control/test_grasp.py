@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests import cells
+from workcell.control import grasp
 from workcell.control.grasp import Grasps
 from workcell.control.proximity import PairGeometry
 from workcell.scene import cell as scene
@@ -87,6 +88,28 @@ def test_g_of_a_held_instrument_is_that_of_the_arm_that_holds_it(cell, data, hol
     assert not folded[:, item.dof : item.dof + 6].any(), "it has no motion of its own left"
 
 
+def test_joints_that_do_not_follow_one_another_carry_alike(cell, data, monkeypatch):
+    """Addressed one by one rather than as a slice, as those of an arm with others in between would be."""
+    jacobian = geometry(cell).measure(data).jacobian
+    data.qvel[cell.arms[1].dofs] = [0.7, -0.4, 0.9]
+    together = Grasps(cell, data)
+    together.carry(data)
+    carried, folded = data.qvel.copy(), together.fold(data, jacobian)
+    monkeypatch.setattr(grasp, "_as_slice", lambda dofs: dofs)
+    apart = Grasps(cell, data)
+    apart.carry(data)
+    np.testing.assert_allclose(data.qvel, carried, rtol=1e-14)
+    np.testing.assert_allclose(apart.fold(data, jacobian), folded, rtol=1e-14, atol=1e-16)
+
+
+@pytest.mark.parametrize(
+    ("dofs", "found"), [([3], slice(3, 4)), ([3, 4, 5], slice(3, 6)), ([3, 5, 6], None)]
+)
+def test_only_what_follows_one_another_is_a_slice(dofs, found):
+    result = grasp._as_slice(np.array(dofs))
+    assert result == found if found else np.array_equal(result, dofs)
+
+
 def test_an_instrument_that_lies_has_no_part_in_g(cell, data):
     grasps = Grasps(cell, data)
     folded = grasps.fold(data, geometry(cell).measure(data).jacobian)
@@ -116,7 +139,10 @@ def test_a_hand_over_changes_owner_and_hand_at_once(cell, data):
     (to_surgeon,) = pairs_of(cell, "probe_capsule", "surgeon/link3_capsule")
     (to_nurse,) = pairs_of(cell, "probe_capsule", "nurse/link3_capsule")
     assert (grasps.holding("nurse"), grasps.holding("surgeon")) == ("probe", None)
+    before = grasps.holders
     grasps.take("probe", "surgeon", data)
+    assert before == {"probe": "nurse", "clamp": None}, "who asked before keeps the answer"
+    assert grasps.holders == {"probe": "surgeon", "clamp": None}
     assert (grasps.holding("nurse"), grasps.holding("surgeon")) == (None, "probe")
     assert grasps.summary() == "probe=surgeon clamp="
     assert grasps.parties(to_surgeon) == ()

@@ -11,20 +11,29 @@ import pytest
 
 from workcell import regression, replay
 from workcell.control import controller as module
+from workcell.control.compiled import CompiledShare
 from workcell.control.controller import Controller
 from workcell.control.proximity import PairGeometry
+from workcell.control.share import Share
 from workcell.trace.compare import compare, excerpt
+
+
+def in_both(monkeypatch, name, change):
+    """Change a method of an arm's share, in NumPy and in compiled code."""
+    for kind in (Share, CompiledShare):
+        law = getattr(kind, name)
+        monkeypatch.setattr(kind, name, lambda self, *a, law=law, **k: change(law, self, *a, **k))
 
 
 def scaled_too_far(monkeypatch, duet):
     """A factor 1.01 on the scaling."""
-    bound = module.pairwise_factor
 
-    def mutant(*arguments, **keywords):
-        found = bound(*arguments, **keywords)
-        return dataclasses.replace(found, factor=min(1.0, found.factor * 1.01))
+    def mutant(law, self, *arguments):
+        found = law(self, *arguments)
+        factor = min(1.0, found.bound.factor * 1.01)
+        return dataclasses.replace(found, bound=dataclasses.replace(found.bound, factor=factor))
 
-    monkeypatch.setattr(module, "pairwise_factor", mutant)
+    in_both(monkeypatch, "allow", mutant)
 
 
 def pair_dropped(monkeypatch, duet):
@@ -36,7 +45,11 @@ def pair_dropped(monkeypatch, duet):
     def mutant(self):
         share(self)
         for arm in self._arms:
-            arm.owned_pairs = arm.owned_pairs[arm.owned_pairs != dropped]
+            pairs, left = arm.share.pairs, arm.share.pairs.owned != dropped
+            fewer = dataclasses.replace(
+                pairs, owned=pairs.owned[left], standing=pairs.standing[left]
+            )
+            arm.share = self._watched.share(arm.ik, self._belief, fewer, support=arm.support)
 
     monkeypatch.setattr(Controller, "_share_pairs", mutant)
 
@@ -58,13 +71,13 @@ def sign_flipped(monkeypatch, duet):
 
 def approaching_only(monkeypatch, duet):
     """The signed criterion swapped for the one that counts approaching pairs only."""
-    objective = module.criteria.objective
 
-    def mutant(criterion, *arguments, **keywords):
-        return objective("artc_approaching", *arguments, **keywords)
+    def solve(law, self, previous, task, qvel, settings, push=None):
+        asked = settings.model_copy(update={"criterion": "artc_approaching"})
+        return law(self, previous, task, qvel, asked, push)
 
-    monkeypatch.setattr(module.criteria, "artc_signed", module.criteria.artc_approaching)
-    monkeypatch.setattr(module.criteria, "objective", mutant)
+    in_both(monkeypatch, "surroundings", lambda law, self, approaching: law(self, approaching=True))
+    in_both(monkeypatch, "solve", solve)
 
 
 def state_delayed(monkeypatch, duet):
@@ -131,7 +144,7 @@ def test_the_text_reference_catches_it_too(duet, tmp_path, monkeypatch, mutate, 
 
 def test_a_comment_and_a_log_line_are_no_difference(duet, tmp_path, monkeypatch, caplog):
     source = inspect.getsource(module)
-    line = "        record, proximity = self._measure("
+    line = "        record = self._measure("
     assert source.count(line) == 1
     talkative = "        # Says what it does.\n        logging.info('tick %d', self.tick)\n" + line
     copy = types.ModuleType("talkative_controller")

@@ -9,6 +9,7 @@ from workcell.control.ik import ArmIk
 from workcell.control.ladder import Ladder
 from workcell.control.scaling import FactorGovernor
 from workcell.control.servo import ServoCommand
+from workcell.control.share import Share
 from workcell.motion.jobs import JobSequence
 from workcell.motion.operator import make_operator
 from workcell.motion.path import Target, standing
@@ -62,15 +63,8 @@ class ControlledArm:
                 period_s=dt,
             )
         )
-        none = np.array([], dtype=np.intp)
-        self.all_pairs = none
-        """Pairs this arm's motion changes."""
-        self.criterion_pairs = none
-        """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
-        self.owned_pairs = none
-        """Pairs this arm answers for by slowing down."""
-        self.standing_pairs = np.array([], dtype=bool)
-        """For each of these, whether it is with the arm's own base, which only the other arm can come near."""
+        self.share: Share
+        """Its part of the watched pairs, dealt out by the controller."""
         self.target: Target = standing(position, wxyz)
         self.elbow_speed_m_s = 0.0
         """Speed at which the operator wants the elbow to swing to the left."""
@@ -80,14 +74,12 @@ class ControlledArm:
         self.task_rad_s = self.followed_rad_s = np.zeros(len(handles.dofs))
         """(n,) the smallest motion that does what the target asks, and what the joint limits let through of it."""
         self.factor = 1.0
-        self.kept_other_m_s = np.zeros(0)
-        """Rates that the others caused in the owned pairs when every time to collision was last kept."""
         self.paused = False
         """Whether the path stands still while self-motion is tried against an impasse."""
         self.held = False
         """Whether the path stands still until the tool has come back to it."""
         self.meeting_key: object = None
-        self.meeting_pairs = none
+        self.meeting_pairs = np.array([], dtype=np.intp)
         self.tried_entry = False
         """Whether another entry has been tried in the present attempt."""
         base = cell.model.body_rootid[cell.model.site_bodyid[handles.tool_site]]

@@ -3,14 +3,14 @@
     measure    state -> the controller's own belief: witness points, distances, G, rates
     follow     operators and jobs -> wanted tool poses
     plan       priority arms: the motion their operators ask for
-    support    support arms, by priority: inverse kinematics, then the factor that keeps t >= t_min
+    steer      support arms, by priority: inverse kinematics, then the factor that keeps t >= t_min
     give_way   priority arms: self-motion, once every other velocity is settled
     judge      the commanded time to collision, modes and reasons
-    write      actuator commands, and the record that becomes a row of the trace
 
 `control` is MuJoCo's control callback; only the measured state comes in through it and only
 actuator commands go out. An arm driven by jobs is a support arm: it is scaled. An arm driven by an
-operator has priority: it is not, and its tool never gives way to the null space.
+operator has priority: it is not, and its tool never gives way to the null space. What the pairs
+allow to an arm is worked out in `share.py`.
 """
 
 from __future__ import annotations
@@ -24,22 +24,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control import criteria, ttc
+from workcell.control import ttc
 from workcell.control.arm import ControlledArm
+from workcell.control.compiled import CompiledWatched
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import IkSolution
-from workcell.control.kernels.library import ArrayFunction
+from workcell.control.kernels.library import kernels
 from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.record import ArmRecord, TickRecord
-from workcell.control.scaling import (
-    ScaleBound,
-    acceleration_interval,
-    pairwise_factor,
-    slow_near,
-)
 from workcell.control.second_order import second_order
+from workcell.control.share import TASK_SLACK_M_S, ArmPairs, Rates, Watched
 from workcell.errors import ControlFault
 from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
@@ -51,18 +47,8 @@ from workcell.scene.cell import Cell
 
 SELF_MOTION_RAD_S = 0.01
 """Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
-TASK_SLACK_M_S = 1e-5
-"""The tool task's own velocity is known up to its regularisation; without this slack it could seem to break the very
-rows it defines. Ten micrometres a second is 0.1 % of the slowest closing speed that matters, d_min / t_min."""
-AT_REST_M_S = 1e-4
-"""Rates below this at d_min count as standing: an arm that starts to leave is first moved by the last digits of its
-tool error, which may point either way, and must not be held for that."""
 LEAVING_FACTOR = 2.0
 """An arm that could go this many times faster before any pair limited it is leaving: its factor need not rise slowly."""
-PRESSED_M_S = 1e-3
-"""Opening rate another arm's motion must leave missing before this arm gives way; above servo noise, below any intent."""
-PRESSED_MEETING_M_S = 0.03
-"""The same for what is meant to meet, where a hand is near that trembles: 0.1 mm at 10 Hz move at up to 20 mm/s."""
 REJOIN_M = 0.02
 """Off its path by more than this, after giving way, an arm first comes back before the path's clock goes on.
 A retreat does not: what it has to come back to is what it is to get away from."""
@@ -70,9 +56,6 @@ ELBOW_PUSH = 0.25
 """Strength of the push to one side; chosen so that the elbow swings at about 0.5 rad/s at the default criterion gain."""
 FIXED_ELBOW_M2 = 1e-6
 """Square of the lever (1 mm) below which no self-motion moves the elbow sideways."""
-_SELF_MOTION_ROWS = ArrayFunction(
-    "self_motion_rows", "jacobian", "distance", "other", "index", "dof", "task", "speed"
-)
 MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
 
@@ -105,11 +88,9 @@ class Controller:
             (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
         )
         self._instrument_geom = {item.name: item.geom for item in cell.instruments}
-        self._silent = np.zeros(len(cell.pairs), dtype=bool)
-        self._some_silent = False
+        self._watched = _watched(cell)
         self._share_pairs()
         self._keeps_rule = cell.scenario.sabotage.factor_multiplier == 1.0  # else it would mend it
-        self._accel_m_s2: NDArray[np.float64] | None = None
         self._record: TickRecord | None = None
         self._failure: BaseException | None = None
 
@@ -178,58 +159,51 @@ class Controller:
         """
         while self._changes and self._changes[0].time_s <= self.tick * self._dt:
             self.tune(**self._changes.pop(0).settings)
-        record, proximity = self._measure(np.array(qpos), np.array(qvel))
+        record = self._measure(np.array(qpos), np.array(qvel))
         self._ask(record)
-        self._follow(record, proximity)
+        self._follow(record)
         self._plan()
         for arm in self._support:
-            self._steer(arm, record, proximity)
+            self._steer(arm, record)
+            self._count(arm)
         for arm in self._priority:
-            self._give_way(arm, record, proximity)
-        self._judge(record, proximity)
+            self._give_way(arm, record)
+            self._count(arm)
+        self._judge(record)
         self._record = record
         self.tick += 1
         return record
 
     # ---------------------------------------------------------------- stages of a tick
 
-    def _measure(
-        self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
-    ) -> tuple[TickRecord, Proximity]:
+    def _measure(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> TickRecord:
         self._finite(qpos, "qpos, the measured joint positions")
         self._finite(qvel, "qvel, the measured joint velocities")
-        belief, model = self._belief, self.cell.model
+        belief, model, watched = self._belief, self.cell.model, self._watched
         belief.data.qvel[:] = qvel
         belief.update(qpos)
         mujoco.mj_comVel(model, belief.data)
         mujoco.mj_sensorPos(model, belief.data)
         proximity = self._geometry.measure(belief.data)
-        if self.cell.instruments:
-            folded = self.grasps.fold(belief.data, proximity.jacobian)
-            proximity = replace(proximity, jacobian=folded)
-        rate = proximity.rate_m_s(qvel)
-        kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
+        watched.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
+        rates = watched.rates(qvel)
+        watched.rate_m_s[...] = rates.rate_m_s
+        watched.accel_m_s2 = None
         if self._settings.order == 2:
-            second = second_order(self._geometry, belief.data, proximity, np.zeros(model.nv))
-            self._accel_m_s2 = second.accel_m_s2
-            kappa = ttc.reciprocal_second_order(proximity.distance_m, rate, second.accel_m_s2)
-        if self._some_silent:
-            kappa[self._silent] = 0.0
-        first = ttc.smallest(kappa)
-        shown_distance = np.where(self._silent, np.inf, proximity.distance_m)
-        closest = int(shown_distance.argmin()) if len(rate) else None
-        shown = first.pair if first.pair >= 0 else closest
+            rates = self._second_order(proximity, rates, qvel)
+        first = rates.first
+        shown = first.pair if first.pair >= 0 else rates.nearest
         record = TickRecord(
             tick=self.tick,
             time_s=self.tick * self._dt,
             qpos=qpos,
             qvel=qvel,
             pair_distance_m=proximity.distance_m,
-            pair_rate_m_s=rate,
+            pair_rate_m_s=rates.rate_m_s,
             t_min_s=self._settings.t_min_s,
             criterion=self._settings.criterion,
             entry=self._settings.entry,
-            closest_pair=closest,
+            closest_pair=rates.nearest,
             ttc_s=_or_none(first.ttc_s),
             ttc_pair=None if first.pair < 0 else first.pair,
             witness_i_m=None if shown is None else proximity.surface_i_m[shown],
@@ -238,22 +212,30 @@ class Controller:
             command_rad_s=np.zeros(model.nv),
         )
         for arm in self._arms:
-            record.arms[arm.handles.name] = self._look_at(arm, record)
-        return record, proximity
+            record.arms[arm.handles.name] = self._look_at(arm)
+        return record
 
-    def _look_at(self, arm: ControlledArm, record: TickRecord) -> ArmRecord:
+    def _second_order(self, proximity: Proximity, rates: Rates, qvel: NDArray[np.float64]) -> Rates:
+        """The rates with second-order times; joint accelerations count as zero."""
+        watched = self._watched
+        if self.cell.instruments:
+            proximity = replace(proximity, jacobian=watched.jacobian)
+        found = second_order(
+            self._geometry, self._belief.data, proximity, np.zeros(self.cell.model.nv)
+        )
+        watched.accel_m_s2 = found.accel_m_s2
+        kappa = ttc.reciprocal_second_order(watched.distance_m, rates.rate_m_s, found.accel_m_s2)
+        return watched.timed(rates.rate_m_s, kappa, qvel)
+
+    def _look_at(self, arm: ControlledArm) -> ArmRecord:
         data, handles = self._belief.data, arm.handles
         wxyz, twist = np.empty(4), np.empty(6)
         mujoco.mj_objectVelocity(
             self.cell.model, data, mujoco.mjtObj.mjOBJ_SITE, handles.tool_site, twist, 0
         )
         mujoco.mju_mat2Quat(wxyz, data.site_xmat[handles.tool_site])
-        distance = record.pair_distance_m.take(arm.criterion_pairs)
-        rate = record.pair_rate_m_s.take(arm.criterion_pairs)
-        artc = (
-            criteria.artc_approaching
-            if self._settings.criterion == "artc_approaching"
-            else criteria.artc_signed
+        artc, armd = arm.share.surroundings(
+            approaching=self._settings.criterion == "artc_approaching"
         )
         return ArmRecord(
             target_position_m=arm.target.position_m,
@@ -270,8 +252,8 @@ class Controller:
             elbow_position_m=None
             if handles.elbow_site is None
             else data.site_xpos[handles.elbow_site].copy(),
-            artc_per_s=artc(distance, rate),
-            armd_per_m=criteria.armd(distance),
+            artc_per_s=artc,
+            armd_per_m=armd,
         )
 
     def _ask(self, record: TickRecord) -> None:
@@ -302,13 +284,13 @@ class Controller:
         )
         row.scale, row.reason, row.mode, row.ik_status = 0.0, "check", "halt", "not_solved"
 
-    def _follow(self, record: TickRecord, proximity: Proximity) -> None:
+    def _follow(self, record: TickRecord) -> None:
         """Advance every driver and hand its target to the inverse kinematics."""
         for arm in self._arms:
             row = record.arms[arm.handles.name]
             if arm.jobs is not None:
                 if self.tick:
-                    self._advance(arm, arm.jobs, record, proximity)
+                    self._advance(arm, arm.jobs, record)
                 arm.target = arm.jobs.target()
                 if arm.paused or arm.held:
                     arm.target = standing(arm.target.position_m, arm.target.wxyz)
@@ -327,18 +309,17 @@ class Controller:
                 arm.target = wish.target
                 row.job, row.path_s = wish.doing, record.time_s
                 row.operator_state, arm.elbow_speed_m_s = wish.state, wish.elbow_speed_m_s
-            for value in (
-                arm.target.position_m,
-                arm.target.wxyz,
-                arm.target.velocity_m_s,
-                arm.target.angular_velocity_rad_s,
-            ):
-                self._finite(value, f"the tool target of arm {arm.handles.name} from {row.job}")
+            self._aim(arm, row.job)
             row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
             row.target_velocity_m_s = arm.target.velocity_m_s
             row.target_turn_rad_s = arm.target.angular_velocity_rad_s
             row.tool_error_m = math.dist(row.tool_position_m, row.target_position_m)
             row.tool_error_rad = _angle(row.tool_wxyz, row.target_wxyz)
+        record.holders = self.grasps.summary()
+
+    def _aim(self, arm: ControlledArm, job: str) -> None:
+        """Hand the arm's target to its inverse kinematics."""
+        try:
             arm.task_rad_s = arm.ik.aim(
                 self._belief,
                 arm.target,
@@ -346,13 +327,19 @@ class Controller:
                 free_rotation=arm.attempt == "free_rotation"
                 or (arm.jobs is not None and arm.jobs.free_rotation),
             )
-        record.holders = self.grasps.summary()
+        except FloatingPointError as error:
+            for value in (
+                arm.target.position_m,
+                arm.target.wxyz,
+                arm.target.velocity_m_s,
+                arm.target.angular_velocity_rad_s,
+            ):
+                self._finite(value, f"the tool target of arm {arm.handles.name} from {job}")
+            raise ControlFault(self.tick, str(error)) from error
 
-    def _advance(
-        self, arm: ControlledArm, jobs: JobSequence, record: TickRecord, proximity: Proximity
-    ) -> None:
+    def _advance(self, arm: ControlledArm, jobs: JobSequence, record: TickRecord) -> None:
         """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
-        around = self._around(arm, record, proximity)
+        around = self._around(arm, record)
         off_path = math.dist(record.arms[arm.handles.name].tool_position_m, arm.target.position_m)
         arm.held = off_path > REJOIN_M and arm.factor > 0.0 and not jobs.retreats
         jobs.advance(self._dt, 0.0 if arm.paused or arm.held else arm.factor, around)
@@ -367,7 +354,7 @@ class Controller:
                 self.grasps.take(jobs.hand_over.instrument, jobs.hand_over.to, self._belief.data)
             self._share_pairs()
 
-    def _around(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> Surroundings:
+    def _around(self, arm: ControlledArm, record: TickRecord) -> Surroundings:
         data = self._belief.data
         instruments = {}
         for item in self.cell.instruments:
@@ -382,7 +369,7 @@ class Controller:
             tool_position_m={name: row.tool_position_m for name, row in record.arms.items()},
             base_position_m={other.handles.name: other.base_position_m for other in self._arms},
             instruments=instruments,
-            meeting_distance_m=self._meeting_distance_m(arm, proximity),
+            meeting_distance_m=self._meeting_distance_m(arm),
         )
 
     def _plan(self) -> None:
@@ -390,29 +377,33 @@ class Controller:
         for arm in self._priority:
             arm.wanted_rad_s = arm.command_rad_s
             arm.command_rad_s = arm.task_rad_s
-            arm.ik.limit.previous_rad_s = arm.wanted_rad_s
-            low, high = arm.ik.limit.bounds(self._belief.data.qpos[arm.handles.qpos], self._dt)
-            arm.followed_rad_s = np.clip(arm.task_rad_s, low, high)
+            arm.followed_rad_s = arm.ik.followed(self._belief, arm.wanted_rad_s, arm.task_rad_s)
+        for arm in self._arms:
+            self._count(arm)
 
-    def _steer(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> None:
+    def _count(self, arm: ControlledArm) -> None:
+        """What other arms may count on this one to do."""
+        ways, dofs = self._watched.ways_rad_s, arm.dofs
+        if arm.support:
+            ways[:, dofs] = arm.command_rad_s
+        else:
+            ways[0, dofs], ways[1, dofs] = arm.command_rad_s, arm.wanted_rad_s
+            ways[2, dofs] = arm.followed_rad_s
+
+    def _steer(self, arm: ControlledArm, record: TickRecord) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
         row = record.arms[arm.handles.name]
         if self._stops(arm):
             self._brake(arm, row)
             return
-        other = (
-            self._rate_of_others(arm, proximity)
-            if self._settings.variant == "relative"
-            else np.zeros(len(proximity.distance_m))
-        )
-        solution = self._solve(arm, record, proximity, other)
+        solution = self._solve(arm, record)
         row.ik_status = solution.status
-        arm.wanted_rad_s = solution.velocity_rad_s
-        owned = arm.owned_pairs
-        own = _rows(proximity, owned, arm) @ arm.wanted_rad_s
-        bound = self._bound(arm, proximity, own, other[owned])
+        wanted = arm.wanted_rad_s = solution.velocity_rad_s
+        arm.share.meets(self._meeting_pairs(arm))
+        allowance = arm.share.allow(wanted, arm.command_rad_s, self._dt, self._settings)
+        bound = allowance.bound
         rung = arm.ladder.climb(
-            pressed=self._pressed(arm, bound, proximity, own, other[owned]),
+            pressed=allowance.pressed,
             clock_s=0.0 if arm.jobs is None else arm.jobs.progress_s,
             moving=arm.jobs is not None and arm.jobs.moving,
             out_of_reach=arm.held and bound.factor == 1.0,
@@ -420,41 +411,39 @@ class Controller:
         arm.attempt = row.attempt = rung.attempt
         arm.paused = rung.paused
         arm.tried_entry = arm.tried_entry and rung.attempt == "re_enter"
-        row.limiting_pair = int(owned[bound.pair]) if bound.pair >= 0 else None
+        row.limiting_pair = int(arm.share.pairs.owned[bound.pair]) if bound.pair >= 0 else None
         if rung.yielding:
-            self._yield(arm, row, proximity, other)
+            self._yield(arm, row)
             return
-        wanted = arm.wanted_rad_s
         arm.command_before_rad_s = arm.command_rad_s
         by_time = self._settings.slow_down == "ttc"
         if by_time and bound.factor < 1.0 and self._is_left(arm, row.limiting_pair):
-            self._slide(arm, row, proximity, other[owned])
+            self._slide(arm, row)
             return
-        interval = acceleration_interval(
-            arm.command_rad_s, wanted, arm.handles.acceleration_limit_rad_s2, self._dt
-        )
         choice = arm.governor.choose(
-            bound.factor, interval, leaving=bound.required >= LEAVING_FACTOR
+            bound.factor, allowance.reach, leaving=bound.required >= LEAVING_FACTOR
         )
         factor = min(1.0, choice.factor * self.cell.scenario.sabotage.factor_multiplier)
         arm.command_rad_s = factor * wanted
         reason = "" if choice.limiter == "none" else choice.limiter
         if by_time and self._keeps_rule:
-            factor, forced = self._keep(
-                arm, factor, wanted, proximity, other[owned], choice.limiter == "infeasible"
-            )
+            factor, forced = self._keep(arm, factor, choice.limiter == "infeasible")
             reason = "other_arm" if forced else reason
         arm.factor = -factor if rung.attempt == "back_off" else factor
         row.scale = arm.factor
-        if bound.factor == 0.0 and not rung.attempt and self._path_is_free(arm, proximity, other):
+        if bound.factor == 0.0 and not rung.attempt and self._path_is_free(arm):
             # At d_min nothing may close, not even the last digits of a tool error. Where the path
             # itself leads away, its clock goes on: an arm that waited for its clock, and the
             # clock for the arm, would never leave.
             arm.factor = 1.0
         row.reason = "other_arm" if bound.shortfall_m_s > 0.0 else reason
-        row.mode = self._mode_of_support(arm, row, proximity)
+        row.mode = self._mode_of_support(arm, row)
         if row.mode in ("run", "scale") and rung.impasse and not rung.attempt:
             row.mode = "hold"  # whatever was to be tried has been
+
+    def _path_is_free(self, arm: ControlledArm) -> bool:
+        """Whether no pair would limit the arm if it only moved as its target does."""
+        return arm.share.is_free(arm.ik.path_rad_s, self._settings)
 
     def _is_left(self, arm: ControlledArm, pair: int | None) -> bool:
         """Whether an arm retreats and is held by nothing but what it has just met."""
@@ -462,43 +451,44 @@ class Controller:
             arm.jobs is not None and arm.jobs.retreats and pair in self._meeting_pairs(arm).tolist()
         )
 
-    def _slide(
-        self,
-        arm: ControlledArm,
-        row: ArmRecord,
-        proximity: Proximity,
-        other: NDArray[np.float64],
-    ) -> None:
+    def _slide(self, arm: ControlledArm, row: ArmRecord) -> None:
         """Get away from what was met: the motion nearest to the way back that closes no pair that is too near.
 
         Slowing down would not do: what is drawn out of a hand passes close by its fingers.
         """
-        counted, _ = self._counted(arm, proximity)
-        allowance = (counted - self._settings.standoff_m) / self._settings.t_min_s
-        rows = _rows(proximity, arm.owned_pairs, arm)
-        wanted = arm.wanted_rad_s
-        velocity = arm.ik.evade(
-            self._belief, arm.command_rad_s, wanted, rows, np.minimum(-allowance - other, 0.0)
+        standing = arm.share.kept(np.zeros_like(arm.wanted_rad_s), self._settings)
+        arm.factor = row.scale = self._leave_path(
+            arm, arm.wanted_rad_s, standing.rows, standing.needed_m_s, row
         )
-        if velocity is None:
-            velocity = brake(arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
-            row.ik_status = "stopped"
-        arm.command_rad_s = velocity
-        along = float(velocity @ wanted) / max(float(wanted @ wanted), 1e-12)
-        arm.factor = row.scale = min(1.0, max(0.0, along))
-        arm.governor.resume(arm.factor)
-        row.reason = "other_arm" if (allowance + other).min() < -TASK_SLACK_M_S else "ttc"
+        row.reason = "other_arm" if standing.allowance_m_s.min() < -TASK_SLACK_M_S else "ttc"
         row.mode = "scale"
 
-    def _keep(
+    def _leave_path(
         self,
         arm: ControlledArm,
-        factor: float,
-        wanted_rad_s: NDArray[np.float64],
-        proximity: Proximity,
-        other: NDArray[np.float64],
-        infeasible: bool,
-    ) -> tuple[float, bool]:
+        preferred_rad_s: NDArray[np.float64],
+        rows: NDArray[np.float64],
+        needed_m_s: NDArray[np.float64],
+        row: ArmRecord | None = None,
+    ) -> float:
+        """Command what is nearest to a preferred velocity (n,) among what gives each row (R, n) its needed rate (R,).
+
+        Returns:
+            The share of the wanted velocity that the command has, in [0, 1]; the factor goes on from there.
+        """
+        before, wanted = arm.command_before_rad_s, arm.wanted_rad_s
+        velocity = arm.ik.evade(self._belief, before, preferred_rad_s, rows, needed_m_s)
+        if velocity is None:
+            velocity = brake(before, arm.handles.acceleration_limit_rad_s2, self._dt)
+            if row is not None:
+                row.ik_status = "stopped"
+        arm.command_rad_s = velocity
+        along = float(velocity @ wanted) / max(float(wanted @ wanted), 1e-12)
+        factor = min(1.0, max(0.0, along))
+        arm.governor.resume(factor)
+        return factor
+
+    def _keep(self, arm: ControlledArm, factor: float, infeasible: bool) -> tuple[float, bool]:
         """Leave the path where the joints cannot slow down along it as fast as the times to collision ask.
 
         One joint that already brakes as hard as it can keeps the factor up for all; the others can
@@ -508,88 +498,32 @@ class Controller:
 
         Returns:
             The share of the wanted velocity that the command has, in [0, 1]; and whether a time falls
-            short all the same, for nothing but what the others do: they close too fast for an arm
-            that stands, or faster than when every time was last kept.
+            short all the same, for nothing but what the others do.
         """
-        rows = _rows(proximity, arm.owned_pairs, arm)
-        counted, reached = self._counted(arm, proximity)
-        allowance = (counted - self._settings.standoff_m) / self._settings.t_min_s
-        slack = np.where(reached, AT_REST_M_S, TASK_SLACK_M_S)
-        needed = np.minimum(-allowance - other, 0.0)
-        if infeasible or (rows @ arm.command_rad_s < needed - slack).any():
-            velocity = arm.ik.evade(
-                self._belief, arm.command_before_rad_s, arm.command_rad_s, rows, needed
-            )
-            if velocity is None:
-                velocity = brake(
-                    arm.command_before_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
-                )
-            arm.command_rad_s = velocity
-            along = float(velocity @ wanted_rad_s)
-            factor = min(1.0, max(0.0, along / max(float(wanted_rad_s @ wanted_rad_s), 1e-12)))
-            arm.governor.resume(factor)
-        short = allowance + other + rows @ arm.command_rad_s < -slack
-        if not short.any():
-            arm.kept_other_m_s = other
+        share, settings = arm.share, self._settings
+        if not infeasible and share.keeps(arm.command_rad_s, settings):
             return factor, False
-        before = arm.kept_other_m_s if len(arm.kept_other_m_s) == len(other) else other
-        alone = allowance + other < 0.0
-        kept = allowance + before + rows @ arm.command_rad_s >= -slack
-        return factor, bool((alone | kept)[short].all())
+        keeping = share.kept(arm.command_rad_s, settings)
+        if infeasible or keeping.needs_more.any():
+            factor = self._leave_path(arm, arm.command_rad_s, keeping.rows, keeping.needed_m_s)
+            keeping = share.kept(arm.command_rad_s, settings)
+        if not keeping.short.any():
+            share.remember()
+            return factor, False
+        return factor, bool(keeping.others_alone[keeping.short].all())
 
-    def _counted(
-        self, arm: ControlledArm, proximity: Proximity
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """(R,) distances that the rule counts with for the pairs an arm answers for, and whether each is at d_min.
-
-        From there on no way is left, but for what is meant to meet.
-        """
-        counted = proximity.distance_m.take(arm.owned_pairs)
-        reached = counted <= self._settings.d_min_m
-        if reached.any():
-            reached &= ~np.isin(arm.owned_pairs, self._meeting_pairs(arm))
-            counted = np.where(reached, np.minimum(counted, 0.0), counted)
-        return counted, reached
-
-    def _pressed(
-        self,
-        arm: ControlledArm,
-        bound: ScaleBound,
-        proximity: Proximity,
-        own: NDArray[np.float64],
-        other: NDArray[np.float64],
-    ) -> bool:
-        """Whether standing is not enough for a pair that this arm can do something about.
-
-        Nothing it does opens a pair with its own base; to give way for that would only stop its work.
-        """
-        if bound.shortfall_m_s <= PRESSED_M_S:
-            return False
-        spared = other + np.isin(arm.owned_pairs, self._meeting_pairs(arm)) * PRESSED_MEETING_M_S
-        if arm.standing_pairs.any():
-            spared[arm.standing_pairs] = np.maximum(spared[arm.standing_pairs], 0.0)
-        return self._bound(arm, proximity, own, spared).shortfall_m_s > PRESSED_M_S
-
-    def _path_is_free(
-        self, arm: ControlledArm, proximity: Proximity, other: NDArray[np.float64]
-    ) -> bool:
-        """Whether no pair would limit the arm if it only moved as its target does."""
-        own = _rows(proximity, arm.owned_pairs, arm) @ arm.ik.path_rad_s
-        return self._bound(arm, proximity, own, other[arm.owned_pairs]).factor == 1.0
-
-    def _yield(
-        self, arm: ControlledArm, row: ArmRecord, proximity: Proximity, other: NDArray[np.float64]
-    ) -> None:
+    def _yield(self, arm: ControlledArm, row: ArmRecord) -> None:
         """Give way: back along the path if that is enough, else so that the near pairs open.
 
         Times count to d_min here, so that an arm that can move fast enough is never nearer. No pair
         is brought below t_min to open another, unless the joint limits leave no other way.
         """
-        rows = _rows(proximity, arm.all_pairs, arm)
+        share, settings = arm.share, self._settings
+        rows = share.rows(share.pairs.moved)
         movable = rows.any(axis=1)  # what its own base comes near to is not in its power
-        rows, pairs = rows[movable], arm.all_pairs[movable]
-        gap = proximity.distance_m[pairs] - self._settings.d_min_m
-        needed = -gap / self._settings.t_min_s - other[pairs]
+        rows, pairs = rows[movable], share.pairs.moved[movable]
+        gap = self._watched.distance_m[pairs] - settings.d_min_m
+        needed = -gap / settings.t_min_s - share.other_m_s[pairs]
         back = _backing_factor(rows @ arm.wanted_rad_s, needed)
         preferred = np.zeros(len(arm.dofs)) if back is None else back * arm.wanted_rad_s
         velocity = arm.ik.evade(self._belief, arm.command_rad_s, preferred, rows, needed)
@@ -597,157 +531,54 @@ class Controller:
             velocity = brake(arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
             row.ik_status = "stopped"
         arm.command_rad_s = arm.wanted_rad_s = velocity
-        arm.governor.reset()
+        arm.governor.resume(0.0)
         arm.factor = row.scale = back or 0.0
         row.reason, row.mode = "other_arm", "yield"
 
-    def _bound(
-        self,
-        arm: ControlledArm,
-        proximity: Proximity,
-        own: NDArray[np.float64],
-        other: NDArray[np.float64],
-    ) -> ScaleBound:
-        """The pairwise rule; pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
-        settings = self._settings
-        counted, reached = self._counted(arm, proximity)
-        if reached.any():
-            own, other = (
-                np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate) for rate in (own, other)
-            )
-        if settings.slow_down == "distance":
-            return slow_near(counted, settings.d_min_m, settings.slow_distance_m)
-        bound = pairwise_factor(
-            counted, own, other, settings.t_min_s, standoff_m=settings.standoff_m
-        )
-        if self._accel_m_s2 is None:
-            return bound
-        # Only pairs this arm closes itself can be held by slowing down; leaving is not slowed either way.
-        second = np.where(
-            own < 0.0,
-            ttc.reciprocal_second_order(
-                counted,
-                own + other,
-                self._accel_m_s2[arm.owned_pairs],
-                standoff_m=settings.standoff_m,
-            ),
-            0.0,
-        )
-        first = ttc.smallest(second)
-        factor = min(1.0, first.ttc_s / settings.t_min_s)
-        if factor >= bound.factor:
-            return bound
-        return replace(bound, factor=factor, pair=first.pair, required=factor)
-
-    def _give_way(self, arm: ControlledArm, record: TickRecord, proximity: Proximity) -> None:
+    def _give_way(self, arm: ControlledArm, record: TickRecord) -> None:
         """A priority arm: what its operator asks, plus self-motion that endangers nothing."""
         row = record.arms[arm.handles.name]
         if self._stops(arm):
             arm.command_rad_s = arm.wanted_rad_s
             self._brake(arm, row)
             return
-        solution = self._solve(arm, record, proximity, self._rate_of_others(arm, proximity))
+        solution = self._solve(arm, record)
         row.ik_status = solution.status
         arm.wanted_rad_s = arm.command_rad_s = solution.velocity_rad_s
         beyond = np.abs(arm.command_rad_s - arm.task_rad_s).max()
         row.mode = "self_motion" if beyond > SELF_MOTION_RAD_S else "run"
 
-    def _judge(self, record: TickRecord, proximity: Proximity) -> None:
+    def _judge(self, record: TickRecord) -> None:
         for arm in self._arms:
             self._finite(arm.command_rad_s, f"the command of arm {arm.handles.name}")
             record.wanted_rad_s[arm.dofs] = arm.wanted_rad_s
             record.command_rad_s[arm.dofs] = arm.command_rad_s
-        rate = proximity.rate_m_s(record.command_rad_s)
-        kappa = ttc.reciprocal_first_order(proximity.distance_m, rate)
-        if self._some_silent:
-            kappa[self._silent] = 0.0
-        first = ttc.smallest(kappa)
-        record.ttc_command_s = _or_none(first.ttc_s)
-        record.ttc_command_pair = None if first.pair < 0 else first.pair
-        if first.pair >= 0:
-            share = {
-                arm.handles.name: float(
-                    proximity.jacobian[first.pair, arm.dofs] @ arm.command_rad_s
-                )
-                for arm in self._arms
-            }
-            record.closing_cause = min(share, key=share.__getitem__)
+        rates = self._watched.rates(record.command_rad_s)
+        record.ttc_command_s = _or_none(rates.first.ttc_s)
+        record.ttc_command_pair = None if rates.first.pair < 0 else rates.first.pair
+        if rates.cause is not None:
+            record.closing_cause = self._arms[rates.cause].handles.name
         record.mode = max((row.mode for row in record.arms.values()), key=MODES.index)
 
     # ---------------------------------------------------------------- parts of the stages
 
-    def _solve(
-        self,
-        arm: ControlledArm,
-        record: TickRecord,
-        proximity: Proximity,
-        other: NDArray[np.float64],
-    ) -> IkSolution:
-        """Inverse kinematics with the arm's criterion and the inequality on its self-motion.
-
-        A row forbids what would bring a pair below t_min, but never asks for more than the tool
-        task alone gives: what the path or the operator wants is not the null space's to refuse.
-        """
-        objective = self._criterion(arm, record, proximity, other)
-        rows, allowed = self._self_motion_rows(arm, proximity, other)
+    def _solve(self, arm: ControlledArm, record: TickRecord) -> IkSolution:
+        """Inverse kinematics with the arm's criterion and the inequality on its self-motion."""
         try:
-            return arm.ik.solve(self._belief, arm.wanted_rad_s, objective, rows, allowed)
+            return arm.share.solve(
+                arm.wanted_rad_s, arm.task_rad_s, record.qvel, self._settings, self._push(arm)
+            )
         except FloatingPointError as error:
             raise ControlFault(self.tick, str(error)) from error
 
-    def _self_motion_rows(
-        self, arm: ControlledArm, proximity: Proximity, other: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(R, n) rows of G and (R,) the smallest rate allowed to each, of the pairs that could be brought below t_min."""
-        settings, speed = self._settings, arm.handles.velocity_limit_rad_s
-        found = _SELF_MOTION_ROWS(
-            proximity.jacobian, proximity.distance_m, other, arm.all_pairs, arm.dofs,
-            arm.task_rad_s, speed,
-            setting=(settings.standoff_m, settings.t_min_s, settings.d_min_m, TASK_SLACK_M_S),
-        )  # fmt: skip
-        if found is not None:
-            count = found["count"].item()
-            return found["rows"][:count].copy(), found["allowed"][:count].copy()
-        rows = _rows(proximity, arm.all_pairs, arm)
-        distance = proximity.distance_m.take(arm.all_pairs) - settings.standoff_m
-        allowed = distance * (-1.0 / settings.t_min_s)
-        allowed[distance <= settings.d_min_m] = 0.0
-        allowed -= other.take(arm.all_pairs)
-        allowed = np.minimum(allowed, rows @ arm.task_rad_s - TASK_SLACK_M_S)
-        near = (
-            allowed > -np.abs(rows) @ speed
-        )  # the rest cannot be violated at any allowed velocity
-        return rows[near], allowed[near]
-
-    def _criterion(
-        self,
-        arm: ControlledArm,
-        record: TickRecord,
-        proximity: Proximity,
-        other: NDArray[np.float64],
-    ) -> NullspaceObjective:
-        """What the arm's null space is for now: the scenario's criterion, or a push of the elbow to one side."""
-        if arm.attempt in ("elbow_left", "elbow_right") and arm.handles.elbow_site is not None:
+    def _push(self, arm: ControlledArm) -> NullspaceObjective | None:
+        """What the arm's null space is for now instead of the scenario's criterion: its elbow to one side."""
+        if arm.handles.elbow_site is None:
+            return None
+        if arm.attempt in ("elbow_left", "elbow_right"):
             side = 1.0 if arm.attempt == "elbow_left" else -1.0
             return _preferring(side * ELBOW_PUSH * self._elbow_row(arm))
-        if arm.elbow_speed_m_s != 0.0 and arm.handles.elbow_site is not None:
-            return self._elbow_swing(arm)
-        pairs = arm.criterion_pairs
-        rows = _rows(proximity, pairs, arm)
-        objective = criteria.objective(
-            self._settings.criterion,
-            proximity.distance_m.take(pairs),
-            rows @ record.qvel[arm.dofs] if arm.support else record.pair_rate_m_s.take(pairs),
-            rows,
-            other_rate_m_s=other.take(pairs),
-        )
-        gain = arm.ik.criterion.gain
-        if self._settings.criterion == "none" or gain == 0.0:
-            return objective
-        handles = arm.handles
-        return criteria.with_room_to_stops(
-            objective, record.qpos[handles.qpos], handles.lower_rad, handles.upper_rad, gain
-        )
+        return None if arm.elbow_speed_m_s == 0.0 else self._elbow_swing(arm)
 
     def _elbow_swing(self, arm: ControlledArm) -> NullspaceObjective:
         """Swing the elbow at the speed the operator wants, as far as the tool's task leaves it free."""
@@ -772,23 +603,7 @@ class Controller:
         mujoco.mj_jac(model, data, jacobian, None, data.site_xpos[elbow], body)
         return left @ jacobian[:, arm.dofs]
 
-    def _rate_of_others(self, arm: ControlledArm, proximity: Proximity) -> NDArray[np.float64]:
-        """(P,) the part of each pair's rate that the other arms cause, as far as this arm may count on it.
-
-        A support arm counts on the least favourable of what another arm's operator asks, what its joints
-        can follow of that, and what it was last commanded: they may keep it from doing at once what is asked.
-        """
-        ways = np.zeros((self.cell.model.nv, 3))
-        for other in self._arms:
-            if other is not arm:
-                ways[other.dofs, 0] = other.command_rad_s
-                ways[other.dofs, 1] = other.command_rad_s if other.support else other.wanted_rad_s
-                ways[other.dofs, 2] = other.command_rad_s if other.support else other.followed_rad_s
-        if not arm.support:
-            return proximity.jacobian @ ways[:, 0]
-        return (proximity.jacobian @ ways).min(axis=1)
-
-    def _mode_of_support(self, arm: ControlledArm, row: ArmRecord, proximity: Proximity) -> str:
+    def _mode_of_support(self, arm: ControlledArm, row: ArmRecord) -> str:
         jobs = arm.jobs
         if jobs is None:
             return "run"
@@ -798,13 +613,14 @@ class Controller:
             return "hold"
         limiting = row.limiting_pair
         if limiting is not None and row.scale < 1.0:
-            return "halt" if proximity.distance_m[limiting] <= self._settings.d_min_m else "scale"
+            near = self._watched.distance_m[limiting] <= self._settings.d_min_m
+            return "halt" if near else "scale"
         return "run"
 
-    def _meeting_distance_m(self, arm: ControlledArm, proximity: Proximity) -> float:
+    def _meeting_distance_m(self, arm: ControlledArm) -> float:
         """Smallest distance between what the arm's present job brings together."""
         pairs = self._meeting_pairs(arm)
-        return float(proximity.distance_m[pairs].min()) if len(pairs) else np.inf
+        return float(self._watched.distance_m[pairs].min()) if len(pairs) else np.inf
 
     def _meeting_pairs(self, arm: ControlledArm) -> NDArray[np.intp]:
         """Pairs that the arm's present job brings together, or that it leaves after having done so."""
@@ -816,7 +632,7 @@ class Controller:
                 if meeting is None
                 else [
                     k
-                    for k in arm.all_pairs
+                    for k in arm.share.pairs.moved
                     if self._meets(meeting, arm.handles.name, *map(int, self.cell.pairs.geoms[k]))
                 ]
             )
@@ -853,32 +669,33 @@ class Controller:
             [name for name in names if rank[name][0] and self.grasps.can_move(k, name)] or names
             for k, names in enumerate(parties)
         ]
-        self._silent = np.array([not names for names in parties], dtype=bool)
-        self._some_silent = bool(self._silent.any())
+        self._watched.silent[...] = [not names for names in parties]
+        owners = self.cell.pairs.owners
         for arm in self._arms:
             name = arm.handles.name
             mine = [k for k, names in enumerate(parties) if name in names]
-            owners = self.cell.pairs.owners
-            arm.all_pairs = np.array(mine, dtype=np.intp)
-            arm.criterion_pairs = np.array(
-                [k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp
+            owned = [
+                k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)
+            ]
+            pairs = ArmPairs(
+                moved=np.array(mine, dtype=np.intp),
+                averaged=np.array([k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp),
+                owned=np.array(owned, dtype=np.intp),
+                standing=np.array([not self.grasps.can_move(k, name) for k in owned], dtype=bool),
             )
-            arm.owned_pairs = np.array(
-                [k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)],
-                dtype=np.intp,
-            )
-            arm.standing_pairs = np.array(
-                [not self.grasps.can_move(int(k), name) for k in arm.owned_pairs], dtype=bool
-            )
+            arm.share = self._watched.share(arm.ik, self._belief, pairs, support=arm.support)
 
     def _finite(self, values: NDArray[np.float64], what: str) -> None:
         if not all_finite(values):
             raise ControlFault(self.tick, f"{what}, is not finite: {np.asarray(values).tolist()}")
 
 
-def _rows(proximity: Proximity, pairs: NDArray[np.intp], arm: ControlledArm) -> NDArray[np.float64]:
-    """(R, n) rows of G of some pairs, columns of an arm's joints."""
-    return proximity.jacobian.take(pairs, axis=0).take(arm.dofs, axis=1)
+def _watched(cell: Cell) -> Watched:
+    """Of a cell's pairs, in compiled code where there is any."""
+    found, dofs = kernels(), [arm.dofs for arm in cell.arms]
+    if found is None or not len(cell.pairs):
+        return Watched(len(cell.pairs), dofs, cell.model.nv)
+    return CompiledWatched(found, len(cell.pairs), dofs, cell.model.nv)
 
 
 def _backing_factor(own_m_s: NDArray[np.float64], needed_m_s: NDArray[np.float64]) -> float | None:

@@ -28,6 +28,8 @@ class _Grasp:
     """(3,) of the instrument in the tool frame."""
     wxyz: NDArray[np.float64]
     """(4,)"""
+    dofs: slice | NDArray[np.intp]
+    """Of the arm, into qvel: a slice, which takes no copy, where they follow one another."""
 
 
 class Grasps:
@@ -44,6 +46,13 @@ class Grasps:
         self._items = {item.name: item for item in cell.instruments}
         self._held: dict[str, _Grasp] = {}
         self._hands = {arm.name: hand_bodies(cell.model, arm) for arm in cell.arms}
+        self._jacobian = np.empty((6, cell.model.nv))
+        self._rotation = np.empty(9)
+        """Rewritten at every call: of the place of a held instrument, and of the instrument."""
+        self.holders: dict[str, str | None] = {}
+        """For every instrument the arm that holds it, None where it lies; another dict after every change."""
+        self._summary = ""
+        self._tell()
         for item in cell.instruments:
             if item.held_by is not None:
                 self.take(item.name, item.held_by, data)
@@ -57,14 +66,9 @@ class Grasps:
         """Name of the instrument an arm holds."""
         return next((name for name, grasp in self._held.items() if grasp.arm.name == arm), None)
 
-    @property
-    def holders(self) -> dict[str, str | None]:
-        """For every instrument the arm that holds it; None where it lies."""
-        return {name: self.holder(name) for name in self._items}
-
     def summary(self) -> str:
         """Who holds what, for the log: `scalpel=nurse clamp=`."""
-        return " ".join(f"{name}={self.holder(name) or ''}" for name in self._items)
+        return self._summary
 
     def take(self, instrument: str, arm: str, data: mujoco.MjData) -> None:
         """From now on the arm holds the instrument, where it is now."""
@@ -75,11 +79,13 @@ class Grasps:
         back_position, back_wxyz = np.empty(3), np.empty(4)
         mujoco.mju_negPose(back_position, back_wxyz, tool_position, tool_wxyz)
         mujoco.mju_mulPose(position, wxyz, back_position, back_wxyz, pose[:3], pose[3:])
-        self._held[instrument] = _Grasp(handles, position, wxyz)
+        self._held[instrument] = _Grasp(handles, position, wxyz, _as_slice(handles.dofs))
+        self._tell()
 
     def let_go(self, instrument: str) -> None:
         """From now on nobody holds the instrument; it stays where it is."""
         del self._held[instrument]
+        self._tell()
 
     def carry(self, data: mujoco.MjData) -> None:
         """Put every held instrument where its tool is, at rest against it; needs current kinematics.
@@ -101,7 +107,7 @@ class Grasps:
                 grasp.wxyz,
             )
             data.qvel[item.dof : item.dof + 6] = (
-                self._follow(data, item, grasp) @ data.qvel[grasp.arm.dofs]
+                self._follow(data, item, grasp) @ data.qvel[grasp.dofs]
             )
 
     def fold(self, data: mujoco.MjData, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,7 +119,7 @@ class Grasps:
             own = slice(item.dof, item.dof + 6)
             grasp = self._held.get(name)
             if grasp is not None:
-                folded[:, grasp.arm.dofs] += folded[:, own] @ self._follow(data, item, grasp)
+                folded[:, grasp.dofs] += folded[:, own] @ self._follow(data, item, grasp)
             folded[:, own] = 0.0
         return folded
 
@@ -158,17 +164,30 @@ class Grasps:
     def _follow(
         self, data: mujoco.MjData, item: InstrumentHandles, grasp: _Grasp
     ) -> NDArray[np.float64]:
-        """(6, n): the velocities of the instrument's free joint per joint velocity of the arm that holds it."""
-        model = self._cell.model
-        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        """(6, n): the velocities of the instrument's free joint per joint velocity of the arm that holds it.
+
+        Good until the next call.
+        """
+        model, jacobian, rotation = self._cell.model, self._jacobian, self._rotation
         body = model.site_bodyid[grasp.arm.tool_site]
         position = data.qpos[item.qpos : item.qpos + 3]
-        mujoco.mj_jac(model, data, linear, angular, position, body)
-        rotation = np.empty(9)
+        mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], position, body)
         mujoco.mju_quat2Mat(rotation, data.qpos[item.qpos + 3 : item.qpos + 7])
-        dofs = grasp.arm.dofs
+        follow = jacobian[:, grasp.dofs]
         # A free joint turns in its own frame and moves in the world's.
-        return np.vstack([linear[:, dofs], rotation.reshape(3, 3).T @ angular[:, dofs]])
+        follow[3:] = rotation.reshape(3, 3).T @ follow[3:]
+        return follow
+
+    def _tell(self) -> None:
+        """Say anew who holds what: asked every tick, changed a few times a run."""
+        self.holders = {name: self.holder(name) for name in self._items}
+        self._summary = " ".join(f"{name}={arm or ''}" for name, arm in self.holders.items())
+
+
+def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """The same entries as a slice where they follow one another."""
+    first, count = int(indices[0]), len(indices)
+    return slice(first, first + count) if (np.diff(indices) == 1).all() else indices
 
 
 def _tool_pose(

@@ -10,13 +10,15 @@ One quadratic program an arm, in the displacement Δq = q̇ dt of the arm's own 
 Defined by mink's and our tasks and limits, solved by daqp. When it has no solution a
 written ladder of weaker programs follows, and the answer says which rung it came from. The tasks
 and limits are usable with any mink `Configuration`. Where there is compiled code (`kernels`), the tool's
-error and rows and the first program come from it; mink's task and the NumPy code here say what they are.
+error and rows come from it, and in the controller the first program, too (`compiled.py`); mink's task and the NumPy code
+here say what they are.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import daqp
 import mink
@@ -269,9 +271,16 @@ class ArmIk:
         self._tool_rates = np.zeros(6)
         self._program_space = _Space(len(arm.dofs))
         self._low = self._high = np.zeros(len(arm.dofs))
-        self._at_work: _CompiledIk | None = None
+        self._at_work: CompiledIk | None = None
+        self.aimed_by: CompiledIk | None = None
+        """What the last `aim` was done by; None for NumPy."""
         self.path_rad_s = np.zeros(len(arm.dofs))
         """(n,) the part of the last `aim` that the target's own motion asks for, corrections of the tool error aside."""
+
+    @property
+    def tool_rows(self) -> int:
+        """How many of the tool's six the last `aim` has asked for."""
+        return len(self._tool_rates)
 
     @property
     def tasks(self) -> list[BaseTask]:
@@ -308,12 +317,14 @@ class ArmIk:
             (n,) the smallest joint velocity that gives the tool its wanted twist, limits aside.
         """
         self.tool.follow(target)
-        compiled = self._compiled(configuration)
+        compiled = self.compiled(configuration)
         if compiled is not None:
             found = compiled.aim(target, self.tool.gain, self.dt_s, catch_up_m_s, free_rotation)
             if found is not None:
                 self._tool_rows, self._tool_rates, whole, self.path_rad_s = found
+                self.aimed_by = compiled
                 return whole
+        self.aimed_by = None
         return self._aim(configuration, catch_up_m_s, free_rotation)
 
     def _aim(
@@ -369,25 +380,6 @@ class ArmIk:
             FloatingPointError: an input is not finite; the solver itself would not say so.
         """
         self.limit.previous_rad_s = previous_rad_s
-        compiled = self._compiled(configuration)
-        if compiled is not None:
-            program = compiled.prepare(
-                self._tool_rows, self._tool_rates, previous_rad_s, self.criterion.gain, objective,
-                rows, smallest_rate_m_s, self.dt_s,
-            )  # fmt: skip
-            velocity = None if program is None else _solution(program)
-            if velocity is not None:
-                return IkSolution(_within(velocity, compiled.low, compiled.high), OPTIMAL)
-        return self._solve(configuration, objective, rows, smallest_rate_m_s)
-
-    def _solve(
-        self,
-        configuration: mink.Configuration,
-        objective: NullspaceObjective,
-        rows: NDArray[np.float64],
-        smallest_rate_m_s: NDArray[np.float64],
-    ) -> IkSolution:
-        """`solve` in NumPy, with every rung of the ladder."""
         self._low, self._high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
         gain = self.criterion.gain
         H, c = self._eye + gain * objective.hessian, gain * objective.linear
@@ -426,7 +418,22 @@ class ArmIk:
         if velocity is None:
             velocity, status = np.zeros_like(c), STOPPED
         # The solver keeps inequalities to a tolerance; the joint limits are meant exactly.
-        return IkSolution(_within(velocity, self._low, self._high), status)
+        return IkSolution(within(velocity, self._low, self._high), status)
+
+    def followed(
+        self,
+        configuration: mink.Configuration,
+        previous_rad_s: NDArray[np.float64],
+        wanted_rad_s: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """(n,) what the joint limits let through of a wanted velocity (n,) after a previous one (n,)."""
+        self.limit.previous_rad_s = previous_rad_s
+        compiled = self.compiled(configuration)
+        found = None if compiled is None else compiled.followed(previous_rad_s, wanted_rad_s)
+        if found is not None:
+            return found
+        low, high = self.limit.bounds(configuration.data.qpos[self.arm.qpos], self.dt_s)
+        return np.clip(wanted_rad_s, low, high)
 
     def evade(
         self,
@@ -460,7 +467,7 @@ class ArmIk:
         velocity = self._program(
             self._eye, -preferred_rad_s, rows, smallest_rate_m_s, hard_tool=False, soft_rows=True
         )
-        return None if velocity is None else _within(velocity, self._low, self._high)
+        return None if velocity is None else within(velocity, self._low, self._high)
 
     def _program(
         self,
@@ -488,9 +495,9 @@ class ArmIk:
             program.rows[pairs:] = self._tool_rows
             program.lower[n + pairs :] = program.upper[n + pairs :] = self._tool_rates
             program.sense[n + pairs :] = _EQUALITY
-        return _solution(program)
+        return solution(program)
 
-    def _compiled(self, configuration: mink.Configuration) -> _CompiledIk | None:
+    def compiled(self, configuration: mink.Configuration) -> CompiledIk | None:
         """The compiled functions at work on this configuration; None where NumPy is used."""
         found = kernels()
         if found is None:
@@ -501,25 +508,28 @@ class ArmIk:
             or at_work.configuration is not configuration
             or at_work.kernels is not found
         ):
-            at_work = self._at_work = _CompiledIk(found, self.arm, configuration)
+            at_work = self._at_work = CompiledIk(found, self.arm, configuration, self.dt_s)
         return at_work
 
 
-class _CompiledIk:
+class CompiledIk:
     """The compiled functions for one arm, bound to the arrays of one configuration's data.
 
     Args:
         kernels: Of this process.
         arm: Its addresses and limits.
         configuration: Its arrays never move, so their addresses are taken once.
+        dt_s: Control period.
     """
 
-    def __init__(self, kernels: Kernels, arm: ArmHandles, configuration: mink.Configuration):
+    def __init__(
+        self, kernels: Kernels, arm: ArmHandles, configuration: mink.Configuration, dt_s: float
+    ):
         self.kernels = kernels
+        self._dt_s = dt_s
         self.configuration = configuration
         model, data = configuration.model, configuration.data
-        self._n = n = len(arm.dofs)
-        self._dofs = _integers(arm.dofs)
+        n = len(arm.dofs)
         on_the_way, body = np.zeros(model.nbody, dtype=bool), int(model.site_bodyid[arm.tool_site])
         while body:
             on_the_way[body], body = True, int(model.body_parentid[body])
@@ -531,7 +541,7 @@ class _CompiledIk:
             cdof=data.cdof,
             subtree_com=data.subtree_com,
             site=_integers([arm.tool_site]),
-            dof=self._dofs,
+            dof=_integers(arm.dofs),
             dof_root=_integers(model.body_rootid[model.dof_bodyid[arm.dofs]]),
             moves=on_the_way[model.dof_bodyid[arm.dofs]],
         )
@@ -543,31 +553,21 @@ class _CompiledIk:
         self._tool = {
             free: (kept["rows"][: 6 - free], kept["rates"][: 6 - free]) for free in (False, True)
         }
-        self._limits = {
+        self.aimed: dict[str, NDArray[Any]] = {
+            "task": kept["whole"], "tool_rows": kept["rows"], "tool_rates": kept["rates"],
+        }  # fmt: skip
+        """What the last `aim` has left, for another function to take up."""
+        self.limits: dict[str, NDArray[Any]] = {
             "qpos": data.qpos,
             "address": _integers(arm.qpos),
             "lower_rad": _floats(arm.lower_rad),
             "upper_rad": _floats(arm.upper_rad),
             "speed": _floats(arm.velocity_limit_rad_s),
             "acceleration": _floats(arm.acceleration_limit_rad_s2),
-            "tool_rows": kept["rows"],
-            "tool_rates": kept["rates"],
         }
-        self._make_room(64)
-
-    def _make_room(self, rows: int) -> None:
-        """Arrays for programs of up to this many rows, the tool's included."""
-        sizes = {
-            "dofs": self._n,
-            "coordinates": len(self.configuration.data.qpos),
-            "room": rows,
-            "constraints": self._n + rows,
-        }
-        self._room = rows
-        self._prepare: Bound = self.kernels.bind("prepare", sizes, **self._limits)
-        self._kept = kept = self._prepare.arrays
-        self.low, self.high = kept["low"], kept["high"]
-        self._programs: dict[int, _Program] = {}
+        """Of the joints, and where they are."""
+        sizes = {"dofs": n, "coordinates": len(data.qpos)}
+        self._followed: Bound = kernels.bind("followed", sizes, **self.limits)
 
     def aim(
         self,
@@ -588,40 +588,15 @@ class _CompiledIk:
             return None
         return *self._tool[free_rotation], self._whole.copy(), self._path.copy()
 
-    def prepare(
-        self,
-        tool_rows: NDArray[np.float64],
-        tool_rates: NDArray[np.float64],
-        previous_rad_s: NDArray[np.float64],
-        gain: float,
-        objective: NullspaceObjective,
-        rows: NDArray[np.float64],
-        smallest_rate_m_s: NDArray[np.float64],
-        dt_s: float,
-    ) -> _Program | None:
-        """The program of `ArmIk.solve`'s first rung; None where the tool was aimed, or something is wrong, in NumPy."""
-        pairs, tool = len(smallest_rate_m_s), len(tool_rates)
-        if tool_rows is not self._tool[tool == 5][0]:
-            return None
-        if pairs + tool > self._room:
-            self._make_room(2 * (pairs + tool))
-        kept = self._kept
-        kept["previous"][...] = previous_rad_s
-        kept["settings"][...] = dt_s, gain
-        kept["counts"][...] = pairs, tool
-        kept["hessian"][...], kept["linear"][...] = objective.hessian, objective.linear
-        kept["rows"][:pairs], kept["bounds"][:pairs] = rows, smallest_rate_m_s
-        self._prepare.run()
-        if self._prepare.done() != DONE:
-            return None
-        program = self._programs.get(pairs + tool)
-        if program is None:
-            m = pairs + tool
-            program = self._programs[m] = _Program(
-                kept["H"], kept["c"], kept["rows"][:m], kept["lower"][: self._n + m],
-                kept["upper"][: self._n + m], kept["sense"][: self._n + m],
-            )  # fmt: skip
-        return program
+    def followed(
+        self, previous_rad_s: NDArray[np.float64], wanted_rad_s: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """See `ArmIk.followed`."""
+        kept = self._followed.arrays
+        kept["previous"][...], kept["wanted"][...] = previous_rad_s, wanted_rad_s
+        self._followed.setting[0] = self._dt_s
+        self._followed.run()
+        return kept["within"].copy() if self._followed.done() == DONE else None
 
 
 def _integers(values: ArrayLike) -> NDArray[np.int64]:
@@ -648,16 +623,16 @@ class _Space:
         self._lower, self._upper = np.empty(self._n + rows), np.empty(self._n + rows)
         self._sense = np.empty(self._n + rows, dtype=np.intc)
 
-    def of(self, rows: int, H: NDArray[np.float64], c: NDArray[np.float64]) -> _Program:
+    def of(self, rows: int, H: NDArray[np.float64], c: NDArray[np.float64]) -> Program:
         """Room for a box and this many rows, with whatever the last program left in it."""
         if rows > len(self._rows):
             self._grow(2 * rows)
         m = self._n + rows
-        return _Program(H, c, self._rows[:rows], self._lower[:m], self._upper[:m], self._sense[:m])
+        return Program(H, c, self._rows[:rows], self._lower[:m], self._upper[:m], self._sense[:m])
 
 
 @dataclass(frozen=True)
-class _Program:
+class Program:
     """A program, its constraints in daqp's order: the box on the joints, then the rows."""
 
     H: NDArray[np.float64]
@@ -674,7 +649,7 @@ class _Program:
     """(n + R,) daqp's marks."""
 
 
-def _solution(program: _Program) -> NDArray[np.float64] | None:
+def solution(program: Program) -> NDArray[np.float64] | None:
     """What daqp finds; None where there is no acceptable solution."""
     velocity, _, flag, _ = daqp.solve(
         program.H,
@@ -693,7 +668,7 @@ def _solution(program: _Program) -> NDArray[np.float64] | None:
 _SETTLE = ArrayFunction("settle", "velocity", "low", "high")
 
 
-def _within(
+def within(
     velocity: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """What the solver found, within its box to the last bit, and on its bounds where it is on them but for the solver's tolerance.

@@ -176,34 +176,6 @@ SIGNATURES: dict[str, Signature] = {
         answer        i 1
         """,
     ),
-    "prepare": _signature(
-        "dofs coordinates room constraints",
-        """
-        qpos          f coordinates
-        address       i dofs
-        lower_rad     f dofs
-        upper_rad     f dofs
-        speed         f dofs
-        acceleration  f dofs
-        previous      f dofs
-        settings      f 2
-        counts        i 2
-        hessian       f dofs dofs
-        linear        f dofs
-        tool_rows     f 6 dofs
-        tool_rates    f 6
-        rows          f room dofs
-        bounds        f room
-        low           f dofs
-        high          f dofs
-        H             f dofs dofs
-        c             f dofs
-        lower         f constraints
-        upper         f constraints
-        sense         m constraints
-        answer        i 1
-        """,
-    ),
     "with_room_to_stops": _signature(
         "joints",
         """
@@ -214,23 +186,6 @@ SIGNATURES: dict[str, Signature] = {
         setting       f 3
         pushed        f joints
         any           i 1
-        answer        i 1
-        """,
-    ),
-    "self_motion_rows": _signature(
-        "pairs joints chosen dofs",
-        """
-        jacobian      f pairs joints
-        distance      f pairs
-        other         f pairs
-        index         i chosen
-        dof           i dofs
-        task          f dofs
-        speed         f dofs
-        setting       f 4
-        rows          f chosen dofs
-        allowed       f chosen
-        count         i 1
         answer        i 1
         """,
     ),
@@ -265,6 +220,140 @@ SIGNATURES: dict[str, Signature] = {
         high          f dofs
         setting       f 1
         settled       f dofs
+        answer        i 1
+        """,
+    ),
+    "followed": _signature(
+        "dofs coordinates",
+        """
+        qpos          f coordinates
+        address       i dofs
+        lower_rad     f dofs
+        upper_rad     f dofs
+        speed         f dofs
+        acceleration  f dofs
+        previous      f dofs
+        wanted        f dofs
+        setting       f 1
+        within        f dofs
+        answer        i 1
+        """,
+    ),
+    "rates": _signature(
+        "pairs joints arms",
+        """
+        jacobian      f pairs joints
+        distance      f pairs
+        velocity      f joints
+        silent        b pairs
+        owner         i joints
+        rate          f pairs
+        ttc           f 1
+        which         i 3
+        part          f arms
+        answer        i 1
+        """,
+    ),
+    "surroundings": _signature(
+        "pairs averaged kind",
+        """
+        distance      f pairs
+        rate          f pairs
+        criterion     i averaged
+        value         f 2
+        answer        i 1
+        """,
+    ),
+    "program": _signature(
+        "pairs joints chosen averaged dofs coordinates room constraints",
+        """
+        jacobian      f pairs joints
+        distance      f pairs
+        rate          f pairs
+        ways          f 3 joints
+        index         i chosen
+        criterion     i averaged
+        dof           i dofs
+        task          f dofs
+        push          f dofs
+        qvel          f joints
+        counted_on    f 3 joints
+        near_distance f averaged
+        near_rate     f averaged
+        near_rows     f averaged dofs
+        near_other    f averaged
+        q             f dofs
+        rule          f 4
+        stops         f 3
+        pushed        f dofs
+        any           i 1
+        count         i 1
+        qpos          f coordinates
+        address       i dofs
+        lower_rad     f dofs
+        upper_rad     f dofs
+        speed         f dofs
+        acceleration  f dofs
+        previous      f dofs
+        settings      f 2
+        counts        i 2
+        hessian       f dofs dofs
+        linear        f dofs
+        tool_rows     f 6 dofs
+        tool_rates    f 6
+        rows          f room dofs
+        bounds        f room
+        low           f dofs
+        high          f dofs
+        H             f dofs dofs
+        c             f dofs
+        lower         f constraints
+        upper         f constraints
+        sense         m constraints
+        choice        i 4
+        other         f pairs
+        answer        i 1
+        """,
+    ),
+    "allow": _signature(
+        "pairs joints owned dofs",
+        """
+        jacobian      f pairs joints
+        distance      f pairs
+        other         f pairs
+        index         i owned
+        meeting       b owned
+        standing      b owned
+        dof           i dofs
+        wanted        f dofs
+        previous      f dofs
+        limit         f dofs
+        rule          f 6
+        period        f 1
+        factor_setting f 2
+        counted       f owned
+        reached       b owned
+        own           f owned
+        rest          f owned
+        found         f 3
+        which         i 2
+        reach         f 2
+        told          i 2
+        answer        i 1
+        """,
+    ),
+    "keeps": _signature(
+        "pairs joints owned dofs",
+        """
+        jacobian      f pairs joints
+        distance      f pairs
+        other         f pairs
+        index         i owned
+        meeting       b owned
+        dof           i dofs
+        command       f dofs
+        rule          f 5
+        kept_other    f owned
         answer        i 1
         """,
     ),

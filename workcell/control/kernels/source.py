@@ -35,8 +35,8 @@ SMALL_ANGLE_RAD = 0.1
 """Angle below which power series replace quotients of differences that would lose their digits; the terms
 written leave out less than 1e-15 at this angle, the quotients lose no more above it."""
 
-ARTC_SIGNED, ARTC_APPROACHING, ARMD = 0, 1, 2
-"""Values of the size `kind`."""
+ARTC_SIGNED, ARTC_APPROACHING, ARMD, NONE, PUSH = 0, 1, 2, 3, 4
+"""Values of the size `kind`; the last two only where the null space is for nothing, or for a push."""
 
 # Division by zero gives infinity or NaN, as in NumPy; nothing is allocated, so nothing needs counting.
 _OPTIONS: Any = {"error_model": "numpy", "_nrt": False}
@@ -482,6 +482,69 @@ def with_room_to_stops(joints, q, lower, upper, linear, setting, pushed, any, an
         pushed[k] = linear[k] - push * (below * below - above * above) / weight
 
 
+# ---------------------------------------------------------------- the cell's pairs
+
+
+@_compiled
+def rates(
+    pairs, joints, arms, jacobian, distance, velocity, silent, owner, rate, ttc, which, part, answer
+):  # fmt: skip
+    """`share.Watched.rates`; `which` are the first pair, the nearest and the arm that closes the first most."""
+    answer[0] = REFUSED
+    most, least, first, nearest = 0.0, math.inf, -1, 0
+    for pair in range(pairs):
+        total = 0.0
+        for joint in range(joints):
+            total += jacobian[pair, joint] * velocity[joint]
+        d = distance[pair]
+        if not math.isfinite(total + d):
+            return
+        rate[pair] = total
+        if silent[pair]:
+            continue
+        if d < least:
+            least, nearest = d, pair
+        if d <= 0.0:
+            kappa = math.inf
+        elif total < 0.0:
+            kappa = -total / d
+        else:
+            continue
+        if kappa > most:
+            most, first = kappa, pair
+    ttc[0] = 1.0 / most if most > 0.0 else math.inf
+    which[0] = first if ttc[0] < math.inf else -1
+    which[1], which[2] = nearest, -1
+    if which[0] >= 0:
+        for arm in range(arms):
+            part[arm] = 0.0
+        for joint in range(joints):
+            if owner[joint] >= 0:
+                part[owner[joint]] += jacobian[which[0], joint] * velocity[joint]
+        which[2] = 0
+        for arm in range(1, arms):
+            if part[arm] < part[which[2]]:
+                which[2] = arm
+    answer[0] = DONE
+
+
+@_compiled
+def surroundings(pairs, averaged, kind, distance, rate, criterion, value, answer):
+    """`share.Share.surroundings`; the kind is that of ARTC."""
+    answer[0] = DONE
+    artc = armd = 0.0
+    for k in range(averaged):
+        d, speed = distance[criterion[k]], rate[criterion[k]]
+        floored = max(d, DISTANCE_FLOOR_M)
+        armd += 1.0 / floored
+        if kind == ARTC_SIGNED or speed < 0.0:
+            artc += -speed / floored
+    value[0] = artc / averaged if averaged else 0.0
+    value[1] = armd / averaged if averaged else 0.0
+    if not math.isfinite(value[0] + value[1]):
+        answer[0] = REFUSED
+
+
 # ---------------------------------------------------------------- what an arm may do
 
 
@@ -490,7 +553,7 @@ def self_motion_rows(
     pairs, joints, chosen, dofs,
     jacobian, distance, other, index, dof, task, speed, setting, rows, allowed, count, answer,
 ):  # fmt: skip
-    """`Controller._self_motion_rows`; the settings are standoff, t_min, d_min and the slack of the task."""
+    """`share.Share.self_motion_rows`; the settings are standoff, t_min, d_min and the slack of the task."""
     answer[0] = DONE
     kept = 0
     for k in range(chosen):
@@ -658,6 +721,11 @@ def aim(
     radian in it; `free` leaves the last row out.
     """
     answer[0] = REFUSED
+    given = wxyz[0] + wxyz[1] + wxyz[2] + wxyz[3]
+    for axis in range(3):
+        given += position[axis] + velocity[axis] + turn[axis]
+    if not math.isfinite(given):
+        return
     gain, period, catch_up = settings[0], settings[1], settings[2]
     tool = site[0]
     here = _row(site_xpos, tool)
@@ -801,6 +869,9 @@ def settle(dofs, velocity, low, high, setting, settled, answer):
     """`ik._within`; the setting is the solver's tolerance."""
     answer[0] = DONE
     for k in range(dofs):
+        if not math.isfinite(velocity[k]):
+            answer[0] = REFUSED
+            return
         settled[k] = velocity[k]
         if velocity[k] <= low[k] + setting[0]:
             settled[k] = low[k]
@@ -818,9 +889,187 @@ def _braking(distance, acceleration, fastest, period):
     return min(speed, fastest)
 
 
+@_compiled
+def followed(
+    dofs, coordinates, qpos, address, lower_rad, upper_rad, speed, acceleration, previous, wanted,
+    setting, within, answer,
+):  # fmt: skip
+    """`ArmIk.followed`; the setting is the period."""
+    answer[0] = REFUSED
+    period = setting[0]
+    for k in range(dofs):
+        q, a, fastest = qpos[address[k]], acceleration[k], speed[k]
+        towards_low = _braking(q - lower_rad[k], a, fastest, period)
+        towards_high = _braking(upper_rad[k] - q, a, fastest, period)
+        step = a * period
+        low = min(max(-towards_low, previous[k] - step), towards_high)
+        high = max(min(towards_high, previous[k] + step), -towards_low)
+        within[k] = min(max(wanted[k], low), high)
+        if not math.isfinite(q + previous[k] + wanted[k] + within[k]):
+            return
+    answer[0] = DONE
+
+
+# ---------------------------------------------------------------- a support arm's whole program and factor
+
+
+@_compiled
+def program(
+    pairs, joints, chosen, averaged, dofs, coordinates, room, constraints,
+    jacobian, distance, rate, ways, index, criterion, dof, task, push, qvel, counted_on,
+    near_distance, near_rate, near_rows, near_other, q, rule, stops, pushed, any, count,
+    qpos, address, lower_rad, upper_rad, speed, acceleration, previous, settings, counts, hessian,
+    linear, tool_rows, tool_rates, rows, bounds, low, high, H, c, lower, upper, sense, choice, other,
+    answer,
+):  # fmt: skip
+    """`share.Share.solve` up to the solver: `other_m_s`, the criterion or a push, the rows, the program.
+
+    `choice` are how many of the others' ways count, the criterion's kind, whether the arm counts with its own part
+    of the rates only, and the rows of the tool.
+    """
+    answer[0] = REFUSED
+    for joint in range(joints):
+        for way in range(3):
+            counted_on[way, joint] = ways[way, joint]
+    for k in range(dofs):
+        for way in range(3):
+            counted_on[way, dof[k]] = 0.0
+    for k in range(chosen):
+        pair = index[k]
+        least = 0.0
+        for way in range(choice[0]):
+            total = 0.0
+            for joint in range(joints):
+                total += jacobian[pair, joint] * counted_on[way, joint]
+            if way == 0 or total < least:
+                least = total
+            if not math.isfinite(total):
+                return
+        other[pair] = least
+    kind = choice[1]
+    if kind <= ARMD:
+        for k in range(averaged):
+            pair = criterion[k]
+            near_distance[k], near_other[k] = distance[pair], other[pair]
+            own = 0.0
+            for m in range(dofs):
+                entry = jacobian[pair, dof[m]]
+                near_rows[k, m] = entry
+                own += entry * qvel[dof[m]]
+            near_rate[k] = own if choice[2] else rate[pair]
+        objective(
+            averaged, dofs, kind, near_distance, near_rate, near_rows, near_other, hessian, linear,
+            answer,
+        )  # fmt: skip
+        if answer[0] != DONE:
+            return
+        if settings[1] != 0.0:
+            for k in range(dofs):
+                q[k] = qpos[address[k]]
+            with_room_to_stops(dofs, q, lower_rad, upper_rad, linear, stops, pushed, any, answer)
+            if answer[0] != DONE:
+                return
+            for k in range(dofs):
+                linear[k] = pushed[k]
+    else:
+        for a in range(dofs):
+            linear[a] = push[a] if kind == PUSH else 0.0
+            for b in range(dofs):
+                hessian[a, b] = 0.0
+    self_motion_rows(
+        pairs, joints, chosen, dofs, jacobian, distance, other, index, dof, task, speed, rule, rows,
+        bounds, count, answer,
+    )  # fmt: skip
+    if answer[0] != DONE:
+        return
+    counts[0], counts[1] = count[0], choice[3]
+    prepare(
+        dofs, coordinates, room, constraints, qpos, address, lower_rad, upper_rad, speed,
+        acceleration, previous, settings, counts, hessian, linear, tool_rows, tool_rates, rows,
+        bounds, low, high, H, c, lower, upper, sense, answer,
+    )  # fmt: skip
+
+
+@_compiled
+def allow(
+    pairs, joints, owned, dofs,
+    jacobian, distance, other, index, meeting, standing, dof, wanted, previous, limit, rule, period,
+    factor_setting, counted, reached, own, rest, found, which, reach, told, answer,
+):  # fmt: skip
+    """`share.Share.allow` for the first-order rule by time.
+
+    `rule` are standoff, t_min, d_min, the rate that counts as rest and the two that count as pressing; `told` whether the
+    arm is pressed and whether its joints reach a factor.
+    """
+    standoff, t_min, d_min, rest_m_s = rule[0], rule[1], rule[2], rule[3]
+    factor_setting[0], factor_setting[1] = t_min, standoff
+    for k in range(owned):
+        pair = index[k]
+        total = 0.0
+        for m in range(dofs):
+            total += jacobian[pair, dof[m]] * wanted[m]
+        own[k], rest[k], counted[k] = total, other[pair], distance[pair]
+        reached[k] = distance[pair] <= d_min and not meeting[k]
+        if reached[k]:
+            counted[k] = min(counted[k], 0.0)
+            if abs(own[k]) < rest_m_s:
+                own[k] = 0.0
+            if abs(rest[k]) < rest_m_s:
+                rest[k] = 0.0
+    told[0] = told[1] = 0
+    pairwise_factor(owned, counted, own, rest, factor_setting, found, which, answer)
+    if answer[0] != DONE:
+        return
+    if found[2] > rule[4]:
+        for k in range(owned):
+            spared = other[index[k]]
+            if meeting[k]:
+                spared += rule[5]
+            if standing[k]:
+                spared = max(spared, 0.0)
+            if reached[k] and abs(spared) < rest_m_s:
+                spared = 0.0
+            rest[k] = spared
+        factor, required, short = found[0], found[1], found[2]
+        limiting, worst = which[0], which[1]
+        pairwise_factor(owned, counted, own, rest, factor_setting, found, which, answer)
+        if answer[0] != DONE:
+            return
+        told[0] = found[2] > rule[4]
+        found[0], found[1], found[2] = factor, required, short
+        which[0], which[1] = limiting, worst
+    acceleration_interval(dofs, previous, wanted, limit, period, reach, answer)
+    told[1] = answer[0] == DONE
+    answer[0] = DONE
+
+
+@_compiled
+def keeps(
+    pairs, joints, owned, dofs,
+    jacobian, distance, other, index, meeting, dof, command, rule, kept_other, answer,
+):  # fmt: skip
+    """`share.Share.keeps`: refused where it is not so; `rule` as in `allow`, but with the task's slack last."""
+    answer[0] = REFUSED
+    standoff, t_min, d_min = rule[0], rule[1], rule[2]
+    for k in range(owned):
+        pair = index[k]
+        opening = 0.0
+        for m in range(dofs):
+            opening += jacobian[pair, dof[m]] * command[m]
+        reached = distance[pair] <= d_min and not meeting[k]
+        counted = min(distance[pair], 0.0) if reached else distance[pair]
+        slack = rule[3] if reached else rule[4]
+        allowance = (counted - standoff) / t_min + other[pair]
+        # Not "<", so that what is not a number is not kept.
+        if not (opening >= min(-allowance, 0.0) - slack and allowance + opening >= -slack):
+            return
+    for k in range(owned):
+        kept_other[k] = other[index[k]]
+    answer[0] = DONE
+
+
 ENTRIES = (
     with_room_to_stops,
-    self_motion_rows,
     pairwise_factor,
     acceleration_interval,
     measure,
@@ -831,7 +1080,12 @@ ENTRIES = (
     average,
     objective,
     aim,
-    prepare,
     settle,
+    followed,
+    rates,
+    surroundings,
+    program,
+    allow,
+    keeps,
 )
 """What is called from Python; the rest is called by these."""
