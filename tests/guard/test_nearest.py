@@ -59,6 +59,25 @@ def test_the_search_finds_what_trying_every_pair_finds(cell, seed: int):
         assert found.pair[0] < found.pair[1]
 
 
+def test_the_floor_is_watched_as_everything_else_is(cell):
+    model, geometry, table, _ = cell
+    search = NearestSearch(model, geometry, ceiling_m=CEILING_M)
+    floor = [piece.name for piece in geometry.pieces].index("floor")
+    mask = np.zeros_like(table.watched)
+    mask[floor] = table.watched[floor]
+    mask |= mask.T
+    rng = np.random.default_rng(2)
+    distances = []
+    for _ in range(50):
+        qpos = random_pose(rng)
+        # Away from each other and down beside the table.
+        qpos[[1, 2, 6, 7]] = -2.9, 0.0, 2.9, 0.0
+        search.place(qpos)
+        distances.append(search.nearest(mask).distance_m)
+        assert distances[-1] == pytest.approx(brute_force(model, geometry, mask, qpos), abs=1e-6)
+    assert min(distances) < 0.0
+
+
 def test_the_answer_does_not_depend_on_what_was_asked_before(cell):
     model, geometry, table, _ = cell
     rng = np.random.default_rng(3)

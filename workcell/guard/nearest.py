@@ -63,6 +63,9 @@ class NearestSearch:
         self._half_m = boxes[:, 3:].copy()
         self._radius_m = _bounding_radii(model, self._geoms, self._centre_local, self._half_m)
         self._planes = model.geom_type[self._geoms] == _PLANE
+        # MuJoCo's box of a plane is the half-space below it, with a centre 5e9 m down; what is
+        # asked of a plane is its own origin.
+        self._centre_local[self._planes] = 0.0
         self._lists: dict[Hashable, _PairList] = {}
 
     def place(self, qpos: NDArray[np.float64]) -> None:
