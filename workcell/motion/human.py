@@ -9,6 +9,7 @@ generator, so that it does not depend on when it is asked for.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass
 
@@ -202,18 +203,26 @@ class _Tremor:
     """A few sinusoids an axis with random frequencies in the band and random phases."""
 
     def __init__(self, rms_m: float, random: np.random.Generator):
-        self._omega = 2 * np.pi * random.uniform(*TREMOR_HZ, size=(3, TREMOR_LINES))
-        self._phase = random.uniform(0.0, 2 * np.pi, size=(3, TREMOR_LINES))
+        omega = 2 * np.pi * random.uniform(*TREMOR_HZ, size=(3, TREMOR_LINES))
+        phase = random.uniform(0.0, 2 * np.pi, size=(3, TREMOR_LINES))
+        self._lines: list[list[list[float]]] = np.stack([omega, phase], axis=2).tolist()
+        """For every axis, angular frequency and phase of each sinusoid."""
         # A sinusoid of amplitude A has A²/2 of power; the lines share the power of the rms value.
-        self._amplitude = rms_m * np.sqrt(2.0 / TREMOR_LINES)
+        self._amplitude = rms_m * math.sqrt(2.0 / TREMOR_LINES)
 
     def at(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(3,) offset in m and (3,) its velocity in m/s."""
-        angle = self._omega * time_s + self._phase
-        offset = self._amplitude * np.sin(angle).sum(axis=1)
-        drift = self._amplitude * (self._omega * np.cos(angle)).sum(axis=1)
         rise, rise_rate = _minimum_jerk(time_s, TREMOR_RISE_S)
-        return rise * offset, rise * drift + rise_rate * offset
+        offsets, drifts = [], []
+        for lines in self._lines:
+            offset = drift = 0.0
+            for omega, phase in lines:
+                angle = omega * time_s + phase
+                offset += math.sin(angle)
+                drift += omega * math.cos(angle)
+            offsets.append(self._amplitude * rise * offset)
+            drifts.append(self._amplitude * (rise * drift + rise_rate * offset))
+        return np.array(offsets), np.array(drifts)
 
 
 def _minimum_jerk(time_s: float, duration_s: float) -> tuple[float, float]:
