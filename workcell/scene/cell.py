@@ -80,16 +80,18 @@ def build(scenario: Scenario, folder: Path) -> Cell:
     Raises:
         InputError: an arm cannot be composed or driven.
     """
-    root = compose.compose(scenario)
-    bare = compose.export(root, folder)
-    pairs = watched_pairs(bare, arm_handles(bare, scenario), instrument_handles(bare, scenario))
-    compose.add_sensors(root, pairs.names, SENSOR_CUTOFF_M)
-    model = compose.export(root, folder)
+    composed = compose.compose(scenario)
+    bare = compose.preview(composed)
+    # Sensors come last and change no number, so that what was resolved without them holds.
+    arms, instruments = arm_handles(bare, scenario), instrument_handles(bare, scenario)
+    pairs = watched_pairs(bare, arms, instruments)
+    compose.add_sensors(composed, pairs.names, SENSOR_CUTOFF_M)
+    model = compose.export(composed, folder)
     return Cell(
         scenario=scenario,
         model=model,
-        arms=arm_handles(model, scenario),
-        instruments=instrument_handles(model, scenario),
+        arms=arms,
+        instruments=instruments,
         pairs=pairs,
         sensor_adr=np.array(
             [model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp

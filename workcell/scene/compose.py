@@ -4,6 +4,11 @@ Every arm file is attached at its base pose under its own name (`surgeon/link3`)
 floor become static geoms, and each watched pair gets a `fromto` sensor, so that MuJoCo itself
 computes the witness points. What is simulated is what is written: the model is compiled from the
 exported scene.xml. The only file that knows dm_control.
+
+dm_control takes a tenth of a second for an arm, and a study has the same arms in every run. So it
+composes a skeleton, which is kept for further scenes of the same arms: the arms, what every scene
+has, and a pattern each of an obstacle, an instrument and a sensor. What else a scenario says goes into
+a copy of it: copies of the patterns, and numbers written as dm_control writes them.
 """
 
 # pyright: reportOptionalMemberAccess=false
@@ -11,16 +16,22 @@ exported scene.xml. The only file that knows dm_control.
 
 from __future__ import annotations
 
+import copy
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
+from lxml import etree  # comes with dm_control, whose trees are made of it
 
 from workcell import assets
 from workcell.errors import InputError
-from workcell.scenario import Arm, Instrument, Scenario
+from workcell.scenario import Arm, Instrument, Obstacle, Scenario
+from workcell.scene.content import digest as content_digest
 
 with warnings.catch_warnings():
     # dm_control probes for a window system when imported; composing needs none.
@@ -31,18 +42,57 @@ SCENE_FILE = "scene.xml"
 FLOOR = "floor"
 _FLOOR_HALF_EXTENTS_M = (3.0, 3.0, 0.05)
 """Chosen larger than any reach; a slab instead of a plane, which has no thickness to be seen from below."""
+_SKY, _TILES = "sky", "tiles"
+_OBSTACLE = Obstacle(name="obstacle", shape="sphere", size_m=(1.0,), position_m=(0.0, 0.0, 0.0))
+_INSTRUMENT = Instrument(name="instrument", position_m=(0.0, 0.0, 0.0))
+_KEPT = 8
+"""Arm files, and skeletons, that are kept; chosen larger than the number any one study has."""
 
 
-def compose(scenario: Scenario) -> mjcf.RootElement:
-    """Build the scene without its sensors.
+@dataclass(frozen=True)
+class Scene:
+    """A scene before it is compiled."""
+
+    tree: etree._Element
+    """Its MJCF tree."""
+    assets: dict[str, bytes]
+    """Content of the files it names, by name."""
+
+
+def compose(scenario: Scenario) -> Scene:
+    """Build the scene without the sensors of its pairs.
 
     Raises:
         InputError: an arm file is missing, does not load, has no joints or no such tool site, or the
             home configuration has another number of joints.
     """
-    root = mjcf.RootElement(model=scenario.name)
+    files: list[_ArmFile] = []
+    faults: list[str] = []
+    for arm in scenario.arm:
+        try:
+            files.append(_file_of(arm))
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults, file=scenario.file)
+    names = tuple(arm.name for arm in scenario.arm)
+    skeleton = _skeleton(scenario.simulation.period_s, names, tuple(files))
+    tree = copy.deepcopy(skeleton.tree)
+    tree.set("model", scenario.name)
+    world = tree.find("worldbody")
+    for arm in scenario.arm:
+        _set(_child(world, "body", f"{arm.name}/"), pos=arm.base_position_m, quat=arm.base_wxyz)
+    _replace(_child(world, "geom", _OBSTACLE.name), _obstacle, scenario.obstacle)
+    _replace(_child(world, "body", _INSTRUMENT.name), _instrument, scenario.instrument)
+    return Scene(tree, skeleton.assets)
+
+
+@lru_cache(maxsize=_KEPT)
+def _skeleton(period_s: float, names: tuple[str, ...], files: tuple[_ArmFile, ...]) -> Scene:
+    """The arms where nothing says otherwise, what every scene has, and the patterns; never to be changed."""
+    root = mjcf.RootElement(model="skeleton")
     root.compiler.angle = "radian"
-    root.option.timestep = scenario.simulation.period_s
+    root.option.timestep = period_s
     # implicitfast treats the servos' damping implicitly: stiff joint servos stay stable at the control period.
     root.option.integrator = "implicitfast"
     root.visual.headlight.ambient = [0.28, 0.28, 0.28]
@@ -52,7 +102,7 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
     root.visual.get_children("global").offheight = 1200
     root.asset.add(
         "texture",
-        name="sky",
+        name=_SKY,
         type="skybox",
         builtin="gradient",
         rgb1=[0.93, 0.95, 0.97],
@@ -62,7 +112,7 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
     )
     root.asset.add(
         "texture",
-        name="tiles",
+        name=_TILES,
         type="2d",
         builtin="checker",
         rgb1=[0.62, 0.65, 0.68],
@@ -70,7 +120,7 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
         width=256,
         height=256,
     )
-    root.asset.add("material", name="tiles", texture="tiles", texrepeat=[6, 6], reflectance=0.05)
+    root.asset.add("material", name=_TILES, texture=_TILES, texrepeat=[6, 6], reflectance=0.05)
     root.worldbody.add(
         "light",
         name="lamp",
@@ -95,37 +145,33 @@ def compose(scenario: Scenario) -> mjcf.RootElement:
         type="box",
         size=[x, y, z],
         pos=[0, 0, -z],
-        material="tiles",
+        material=_TILES,
         contype=0,
         conaffinity=0,
     )
-    for obstacle in scenario.obstacle:
-        root.worldbody.add(
-            "geom",
-            name=obstacle.name,
-            type=obstacle.shape,
-            size=list(obstacle.size_m),
-            pos=list(obstacle.position_m),
-            quat=list(obstacle.wxyz),
-            rgba=list(obstacle.rgba),
-            contype=0,
-            conaffinity=0,
-        )
-    faults: list[str] = []
-    for arm in scenario.arm:
-        try:
-            model = _arm_model(arm)
-        except InputError as error:
-            faults += error.faults
-            continue
+    root.worldbody.add(
+        "geom",
+        name=_OBSTACLE.name,
+        type=_OBSTACLE.shape,
+        size=list(_OBSTACLE.size_m),
+        pos=list(_OBSTACLE.position_m),
+        quat=list(_OBSTACLE.wxyz),
+        rgba=list(_OBSTACLE.rgba),
+        contype=0,
+        conaffinity=0,
+    )
+    for name, file in zip(names, files, strict=True):
+        model = file.take()
+        model.model = name
         frame = root.attach(model)
-        frame.pos = list(arm.base_position_m)
-        frame.quat = list(arm.base_wxyz)
-    if faults:
-        raise InputError(faults, file=scenario.file)
-    for instrument in scenario.instrument:
-        _add_instrument(root, instrument)
-    return root
+        frame.pos, frame.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    _add_instrument(root, _INSTRUMENT)
+    # Makes a section of sensors, where dm_control wants it.
+    root.sensor.add("fromto", name="pair", geom1=FLOOR, geom2=FLOOR)
+    tree = root.to_xml(precision=17)
+    sensors = tree.find("sensor")
+    sensors.remove(_child(sensors, "fromto", "pair"))
+    return Scene(tree, root.get_assets())
 
 
 def _add_instrument(root: mjcf.RootElement, instrument: Instrument) -> None:
@@ -160,23 +206,131 @@ def _add_instrument(root: mjcf.RootElement, instrument: Instrument) -> None:
     )
 
 
-def add_sensors(root: mjcf.RootElement, pairs: Sequence[tuple[str, str]], cutoff_m: float) -> None:
-    """Give every watched pair its `fromto` sensor, named `pair_<index>`."""
+def _obstacle(geom: etree._Element, obstacle: Obstacle) -> None:
+    """Make a copy of the pattern into this obstacle."""
+    geom.set("name", obstacle.name)
+    geom.set("type", obstacle.shape)
+    _set(
+        geom, size=obstacle.size_m, pos=obstacle.position_m, quat=obstacle.wxyz, rgba=obstacle.rgba
+    )
+
+
+def _instrument(body: etree._Element, instrument: Instrument) -> None:
+    """Make a copy of the pattern into this instrument."""
+    for element in body.iter(etree.Element):
+        element.set("name", element.get("name").replace(_INSTRUMENT.name, instrument.name))
+    _set(body, pos=instrument.position_m or (0.0, 0.0, 0.0), quat=instrument.wxyz)
+    radius, half_length, (*rgb, alpha) = (
+        instrument.radius_m,
+        instrument.half_length_m,
+        instrument.rgba,
+    )
+    capsule, rod = body.iter("geom")
+    _set(capsule, size=(radius, half_length), mass=(instrument.mass_kg,), rgba=(*rgb, 0.25))
+    _set(rod, size=(0.9 * radius, half_length), rgba=(*rgb, alpha))
+
+
+def add_sensors(scene: Scene, pairs: Sequence[tuple[str, str]], cutoff_m: float) -> None:
+    """Give every watched pair its `fromto` sensor, named `pair_<index>`, before the arms' own sensors."""
+    sensors = scene.tree.find("sensor")
     for index, (geom_i, geom_j) in enumerate(pairs):
-        root.sensor.add("fromto", name=f"pair_{index}", geom1=geom_i, geom2=geom_j, cutoff=cutoff_m)
+        keys = {"name": f"pair_{index}", "cutoff": f"{cutoff_m:.17g}"}
+        sensor = sensors.makeelement("fromto", keys | {"geom1": geom_i, "geom2": geom_j})
+        sensors.insert(index, sensor)
+    if not len(sensors):
+        scene.tree.remove(sensors)
 
 
-def export(root: mjcf.RootElement, folder: Path) -> mujoco.MjModel:
+def export(scene: Scene, folder: Path) -> mujoco.MjModel:
     """Write scene.xml with its assets into `folder` and compile the model from what was written."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / SCENE_FILE).write_text(root.to_xml_string(precision=17), encoding="utf-8")
-    for name, content in root.get_assets().items():
+    (folder / SCENE_FILE).write_bytes(etree.tostring(scene.tree, pretty_print=True))
+    for name, content in scene.assets.items():
         (folder / name).write_bytes(content)
     return mujoco.MjModel.from_xml_path(str(folder / SCENE_FILE))
 
 
-def _arm_model(arm: Arm) -> mjcf.RootElement:
-    """Load one arm file and refuse what cannot be driven, all reasons at once."""
+def preview(scene: Scene) -> mujoco.MjModel:
+    """Compile the scene as it is, without writing it and without sky and tiles, which take MuJoCo half of its time.
+
+    Everything but textures, materials and sensors has the same number as in the model of the exported scene.
+    """
+    tree = copy.deepcopy(scene.tree)
+    pictures = tree.find("asset")
+    for tag, name in (("texture", _SKY), ("texture", _TILES), ("material", _TILES)):
+        pictures.remove(_child(pictures, tag, name))
+    del _child(tree.find("worldbody"), "geom", FLOOR).attrib["material"]
+    return mujoco.MjModel.from_xml_string(etree.tostring(tree, encoding="unicode"), scene.assets)
+
+
+def _child(parent: etree._Element, tag: str, name: str) -> etree._Element:
+    """The one child of this tag and name."""
+    (child,) = (child for child in parent.iterchildren(tag) if child.get("name") == name)
+    return child
+
+
+def _replace(
+    pattern: etree._Element, fill: Callable[[etree._Element, Any], None], items: Iterable[Any]
+) -> None:
+    """Put a filled copy for every item where the pattern is."""
+    for item in items:
+        filled = copy.deepcopy(pattern)
+        fill(filled, item)
+        pattern.addprevious(filled)
+    pattern.getparent().remove(pattern)
+
+
+def _set(element: etree._Element, **numbers: Sequence[float]) -> None:
+    """Set attributes with all digits, so that they are read back as they are."""
+    for key, values in numbers.items():
+        element.set(key, " ".join(f"{value:.17g}" for value in values))
+
+
+@dataclass(frozen=True, eq=False)
+class _ArmFile:
+    """What was found in an arm file."""
+
+    path: Path
+    joints: tuple[tuple[str | None, str], ...]
+    """Name and type of each."""
+    sites: tuple[str | None, ...]
+    has_keyframe: bool
+    _unused: list[mjcf.RootElement]
+    """The tree these were found in, until it is attached."""
+
+    def take(self) -> mjcf.RootElement:
+        """A tree of its own for a scene, without contacts."""
+        model = self._unused.pop() if self._unused else _parse(self.path)
+        for body in model.find_all("body"):
+            for geom in body.find_all("geom", immediate_children_only=True):
+                # A collision here is a verdict of the checks, not a bounce: contacts would only blur it.
+                geom.contype, geom.conaffinity = 0, 0
+        return model
+
+
+@lru_cache(maxsize=_KEPT)
+def _read(path: Path, digest: str) -> _ArmFile:
+    """Look into an arm file; `digest` is that of its content, by which it is kept."""
+    model = _parse(path)
+    return _ArmFile(
+        path=path,
+        joints=tuple(
+            (joint.name, "freejoint" if joint.tag == "freejoint" else joint.type or "hinge")
+            for joint in model.find_all("joint")
+        ),
+        sites=tuple(site.name for site in model.find_all("site")),
+        has_keyframe=bool(model.find_all("key")),
+        _unused=[model],
+    )
+
+
+def _parse(path: Path) -> mjcf.RootElement:
+    with _quiet_parser():
+        return mjcf.from_path(str(path))
+
+
+def _file_of(arm: Arm) -> _ArmFile:
+    """The file of an arm; what cannot be driven is refused, all reasons at once."""
     path = assets.model_file(arm.model) if arm.model in assets.model_names() else Path(arm.model)
     key = f"arm.{arm.name}"
     if not path.is_file():
@@ -184,47 +338,39 @@ def _arm_model(arm: Arm) -> mjcf.RootElement:
             f"{key}.model = {arm.model!r}: no such arm file; allowed: a path to an MJCF file, or one of {', '.join(assets.model_names())}"
         )
     try:
-        with _quiet_parser():
-            model = mjcf.from_path(str(path))
+        file = _read(path, content_digest(path))
     except (
         Exception
     ) as error:  # whatever the XML parser, the schema or an include raises, the file is at fault
         raise InputError(
             f"{key}.model = {str(path)!r}: is not a readable MJCF file: {error}"
         ) from error
-    model.model = arm.name
-    joints = model.find_all("joint")
     faults = []
-    if not joints:
+    if not file.joints:
         faults.append(
             f"{key}.model = {str(path)!r}: has no joints; an arm needs at least one hinge or slide joint"
         )
-    for joint in joints:
-        if joint.tag == "freejoint" or (joint.type or "hinge") not in ("hinge", "slide"):
+    for name, kind in file.joints:
+        if kind not in ("hinge", "slide"):
             faults.append(
-                f"{key}.model = {str(path)!r}: joint {joint.name!r} is of type {joint.tag if joint.tag == 'freejoint' else joint.type}; allowed are hinge and slide"
+                f"{key}.model = {str(path)!r}: joint {name!r} is of type {kind}; allowed are hinge and slide"
             )
-    if joints and len(joints) != len(arm.home_rad):
+    if file.joints and len(file.joints) != len(arm.home_rad):
         faults.append(
-            f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(joints)} joints ({', '.join(j.name or '?' for j in joints)})"
+            f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(file.joints)} joints ({', '.join(name or '?' for name, _ in file.joints)})"
         )
-    sites = [site.name for site in model.find_all("site")]
     for site_key, site in (("tool_site", arm.tool_site), ("elbow_site", arm.elbow_site)):
-        if site is not None and site not in sites:
+        if site is not None and site not in file.sites:
             faults.append(
-                f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(s for s in sites if s) or 'it has no sites'}"
+                f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(s for s in file.sites if s) or 'it has no sites'}"
             )
-    if model.find_all("key"):
+    if file.has_keyframe:
         faults.append(
             f"{key}.model = {str(path)!r}: has a keyframe, which cannot be attached beside other arms; remove it"
         )
     if faults:
         raise InputError(faults)
-    for body in model.find_all("body"):
-        for geom in body.find_all("geom", immediate_children_only=True):
-            # A collision here is a verdict of the checks, not a bounce: contacts would only blur it.
-            geom.contype, geom.conaffinity = 0, 0
-    return model
+    return file
 
 
 @contextmanager

@@ -24,6 +24,8 @@ NEIGHBOUR_JOINTS = 2
 APART_M = 0.05
 """Self pairs that stay farther apart than this in all sampled poses cannot meet; the margin covers what sampling misses."""
 SAMPLES = 500
+FEW_SAMPLES = 4
+"""What it takes to see whether a distance changes at all: home and three more."""
 _INVARIANT_M = 1e-6
 
 
@@ -67,14 +69,14 @@ def watched_pairs(
             candidates += [(g, h) for g in arm.geoms for h in other.geoms]
         candidates += [(g, h) for g in arm.geoms for h in surroundings]
     loose, rests = _instrument_pairs(model, arms, instruments, surroundings)
-    nearest, farthest = _sampled_extremes(model, arms, candidates)
     kept: list[tuple[int, int]] = []
     omitted: list[tuple[str, str, str]] = []
-    for (g, h), low, high in zip(candidates, nearest, farthest, strict=True):
-        reason = _why_not(model, arm_names, g, h, low, high)
+    for candidate in _sampled(model, arms, candidates):
+        reason = candidate.why_not()
         if reason is None:
-            kept.append((g, h))
+            kept.append(candidate.geoms)
         else:
+            g, h = candidate.geoms
             omitted.append((model.geom(g).name, model.geom(h).name, reason))
     kept += loose
     omitted += rests
@@ -110,27 +112,36 @@ def _instrument_pairs(
     return kept, omitted
 
 
-def _why_not(
-    model: mujoco.MjModel,
-    arms: tuple[str, ...],
-    g: int,
-    h: int,
-    nearest_m: float,
-    farthest_m: float,
-) -> str | None:
-    if _joints_between(model, g, h) == 0 or farthest_m - nearest_m < _INVARIANT_M:
-        return "static: no joint changes their distance"
-    if arm_of_geom(model, g, arms) == arm_of_geom(model, h, arms):
-        if _joints_between(model, g, h) <= NEIGHBOUR_JOINTS:
-            return f"neighbours: at most {NEIGHBOUR_JOINTS} joints apart, their housings interlock by design"
-        if nearest_m > APART_M:
-            return f"apart: never nearer than {nearest_m:.3f} m in {SAMPLES} sampled poses"
-    return None
+@dataclass(slots=True)
+class _Candidate:
+    """A pair with an arm, and what the sampled poses tell of it so far."""
 
-
-def _joints_between(model: mujoco.MjModel, g: int, h: int) -> int:
+    geoms: tuple[int, int]
+    joints: int
     """Number of joints that move one geom against the other."""
-    return len(_joints_above(model, g) ^ _joints_above(model, h))
+    within: bool
+    """Whether both are the same arm's."""
+    nearest_m: float = np.inf
+    farthest_m: float = -np.inf
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether no further pose can change the answer or its reason: the distance varies, and nothing else counts any more."""
+        varies = self.joints > 0 and self.farthest_m - self.nearest_m >= _INVARIANT_M
+        return varies and (
+            not self.within or self.joints <= NEIGHBOUR_JOINTS or self.nearest_m <= APART_M
+        )
+
+    def why_not(self) -> str | None:
+        """The reason to leave it out, None if it is watched."""
+        if self.joints == 0 or self.farthest_m - self.nearest_m < _INVARIANT_M:
+            return "static: no joint changes their distance"
+        if self.within:
+            if self.joints <= NEIGHBOUR_JOINTS:
+                return f"neighbours: at most {NEIGHBOUR_JOINTS} joints apart, their housings interlock by design"
+            if self.nearest_m > APART_M:
+                return f"apart: never nearer than {self.nearest_m:.3f} m in {SAMPLES} sampled poses"
+        return None
 
 
 def _joints_above(model: mujoco.MjModel, geom: int) -> set[int]:
@@ -143,34 +154,35 @@ def _joints_above(model: mujoco.MjModel, geom: int) -> set[int]:
     return joints
 
 
-def _sampled_extremes(
-    model: mujoco.MjModel, arms: tuple[ArmHandles, ...], candidates: list[tuple[int, int]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Smallest and largest distance of each candidate over home and seeded random poses.
+def _sampled(
+    model: mujoco.MjModel, arms: tuple[ArmHandles, ...], pairs: list[tuple[int, int]]
+) -> list[_Candidate]:
+    """Look at every pair at home and in seeded random poses, until nothing can change the answer.
 
-    Only self pairs and pairs with the surroundings need many poses; between arms three tell whether
-    the distance changes at all.
+    Only self pairs need many poses; for the rest a few tell whether the distance changes at all.
     """
+    above = {g: _joints_above(model, g) for pair in pairs for g in pair}
+    owner = {g: arm.name for arm in arms for g in arm.geoms}
+    candidates = [
+        _Candidate((g, h), len(above[g] ^ above[h]), owner[g] == owner.get(h)) for g, h in pairs
+    ]
     data = mujoco.MjData(model)
-    random = np.random.default_rng(0)
-    nearest, farthest = np.full(len(candidates), np.inf), np.full(len(candidates), -np.inf)
-    arm_names = tuple(arm.name for arm in arms)
-    within = np.array(
-        [
-            arm_of_geom(model, g, arm_names) == arm_of_geom(model, h, arm_names)
-            for g, h in candidates
-        ],
-        dtype=bool,
+    addresses = np.concatenate([arm.qpos for arm in arms])
+    lower = np.concatenate([arm.lower_rad for arm in arms])
+    upper = np.concatenate([arm.upper_rad for arm in arms])
+    poses = np.random.default_rng(0).uniform(
+        np.where(np.isfinite(lower), lower, -np.pi),
+        np.where(np.isfinite(upper), upper, np.pi),
+        (SAMPLES - 1, len(addresses)),
     )
-    for sample in range(SAMPLES):
-        for arm in arms:
-            low = np.where(np.isfinite(arm.lower_rad), arm.lower_rad, -np.pi)
-            high = np.where(np.isfinite(arm.upper_rad), arm.upper_rad, np.pi)
-            data.qpos[arm.qpos] = arm.home_rad if sample == 0 else random.uniform(low, high)
+    open_ = candidates
+    for sample, pose in enumerate([np.concatenate([arm.home_rad for arm in arms]), *poses]):
+        if sample >= FEW_SAMPLES:
+            open_ = [pair for pair in open_ if pair.within and not pair.is_settled]
+        data.qpos[addresses] = pose
         mujoco.mj_kinematics(model, data)
-        few = sample < 4
-        for k, (g, h) in enumerate(candidates):
-            if few or within[k]:
-                distance = mujoco.mj_geomDistance(model, data, g, h, 100.0, None)
-                nearest[k], farthest[k] = min(nearest[k], distance), max(farthest[k], distance)
-    return nearest, farthest
+        for pair in open_:
+            distance = mujoco.mj_geomDistance(model, data, *pair.geoms, 100.0, None)
+            pair.nearest_m = min(pair.nearest_m, distance)
+            pair.farthest_m = max(pair.farthest_m, distance)
+    return candidates
