@@ -24,7 +24,12 @@ def cell() -> tuple[mujoco.MjModel, Geometry, PairTable, NearestSearch]:
     model = mujoco.MjModel.from_xml_string(scene_text())
     geometry = collect_geometry(model, ARMS)
     table = choose_pairs(model, geometry, ARMS)
-    return model, geometry, table, NearestSearch(model, geometry, ceiling_m=CEILING_M)
+    return (
+        model,
+        geometry,
+        table,
+        NearestSearch(model, geometry, table.watched, ceiling_m=CEILING_M),
+    )
 
 
 def brute_force(model: mujoco.MjModel, geometry: Geometry, mask, qpos) -> float:
@@ -61,7 +66,7 @@ def test_the_search_finds_what_trying_every_pair_finds(cell, seed: int):
 
 def test_the_floor_is_watched_as_everything_else_is(cell):
     model, geometry, table, _ = cell
-    search = NearestSearch(model, geometry, ceiling_m=CEILING_M)
+    search = NearestSearch(model, geometry, table.watched, ceiling_m=CEILING_M)
     floor = [piece.name for piece in geometry.pieces].index("floor")
     mask = np.zeros_like(table.watched)
     mask[floor] = table.watched[floor]
@@ -81,10 +86,10 @@ def test_the_floor_is_watched_as_everything_else_is(cell):
 def test_the_answer_does_not_depend_on_what_was_asked_before(cell):
     model, geometry, table, _ = cell
     rng = np.random.default_rng(3)
-    warm = NearestSearch(model, geometry, ceiling_m=CEILING_M)
+    warm = NearestSearch(model, geometry, table.watched, ceiling_m=CEILING_M)
     for _ in range(20):
         qpos = random_pose(rng)
-        cold = NearestSearch(model, geometry, ceiling_m=CEILING_M)
+        cold = NearestSearch(model, geometry, table.watched, ceiling_m=CEILING_M)
         cold.place(qpos)
         warm.place(qpos)
         assert warm.nearest(table.watched).distance_m == pytest.approx(
@@ -114,7 +119,7 @@ def test_a_crash_is_negative_and_names_the_crashing_pair(cell):
 def test_beyond_the_ceiling_there_is_no_pair(cell):
     _, geometry, table, _ = cell
     model = mujoco.MjModel.from_xml_string(scene_text())
-    search = NearestSearch(model, geometry, ceiling_m=0.05)
+    search = NearestSearch(model, geometry, table.watched, ceiling_m=0.05)
     search.place(CLEAR_POSE)
     assert search.nearest(table.watched).distance_m == 0.05
     assert search.nearest(table.watched).pair is None

@@ -57,7 +57,9 @@ class Checker:
             )
         except InputError as error:
             raise InputError(error.faults, file=scene_xml) from error
-        self._search = NearestSearch(self.model, self.geometry, ceiling_m=settings.ceiling_m)
+        self._search = NearestSearch(
+            self.model, self.geometry, self.table.watched, ceiling_m=settings.ceiling_m
+        )
         self._masks: dict[Hashable, np.ndarray] = {}
         self._grips = [_Grip() for _ in settings.instruments]
         self._before: dict[int, tuple[tuple[int, _Grips], int, float]] = {}

@@ -1,16 +1,35 @@
 """The smallest distance over all watched pieces, exact below a ceiling, in a fraction of a tick.
 
-A configuration comes in; the nearest pair and its distance come out. Branch and bound: every
-pair has a cheap lower bound (first spheres around the pieces, then a sphere against an oriented
-box), pairs are measured exactly (`mj_geomDistance`) in the order of their bounds, and the search
-ends when the next bound is not below the smallest distance found. It starts from the pair that
-was nearest last time, which is nearly always still close to the smallest.
+A configuration comes in; the nearest pair and its distance come out. Branch and bound: every pair
+has a lower bound (spheres around the pieces, then a sphere against an oriented box), and pairs are
+measured exactly (`mj_geomDistance`) while their bounds are below the smallest distance found. It
+starts from the pair that was nearest last time, nearly always still close to the smallest.
+
+Bounds are kept from one configuration to the next. Pairs are grouped in blocks, one for every two
+bodies, and a configuration costs what has changed. Why nothing nearer is skipped:
+
+* The displacement of a point of a rigid body is an affine function of the point, and its norm a
+  convex one: over a box it is largest at a corner. The eight corners of a box around a body's pieces
+  thus bound how far any point of them has moved, by s_k at the k-th configuration.
+* Let S = Σ s_k be a body's travel since the start. By the triangle inequality two bodies a, b have
+  come nearer by no more than ΔS_a + ΔS_b since a bound was made, however they moved, far jumps
+  included: a bound B made at travels S_a, S_b holds as B + S_a + S_b - S_a(now) - S_b(now).
+* A pair is left unmeasured only while such a bound, its own or the least of its block, is not
+  below the smallest distance found. Both come from spheres and boxes around the pieces, never
+  from a measured distance: what one measurement might get wrong does not outlive its configuration.
+* Only bounds of pairs that are apart (B > 0) are kept; all others are measured every time. How
+  deep a contact is thus enters no kept bound.
+
+Distances so found are those of measuring every pair. Where several pairs are equally near to within
+the tolerance of a measurement (`CCD_TOLERANCE_M`), any of them may be named.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Hashable
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -21,8 +40,22 @@ from workcell.guard.geometry import Geometry
 # Convergence of the distance between curved pieces, m. A thousandth of the smallest sensible
 # d_min (1 mm); MuJoCo's default of 1e-6 m costs the same and leaves errors of that order.
 CCD_TOLERANCE_M = 1e-7
-# Lower bounds are widened by this against rounding, m: positions of metres carry 1e-15.
+# Lower bounds are widened by this against rounding, m: positions of metres carry 1e-15. Travel is
+# lengthened by it at every configuration, which is more than adding to it may round off.
 BOUND_SLACK_M = 1e-9
+# All bounds are forgotten when a body has travelled this far, m: sums of such size still round
+# by a thousandth of the slack.
+MAX_TRAVEL_M = 1e4
+# When bounds are made anew, those of every block within this of the smallest distance are, m: a
+# batch costs nearly the same whatever its size, and what is near will be wanted soon. Chosen by
+# trial on recorded runs, as are the next two; none of them changes an answer.
+AHEAD_M = 0.03
+# Pairs whose spheres are within this of the smallest distance get the better bound of boxes, m.
+REFINE_M = 0.1
+# As many measurements more than fresh bounds would have asked for cost about as much as a batch.
+BATCH_WORTH = 40
+# From so many blocks on, spheres around whole bodies are worth a look first.
+MANY_BLOCKS = 40
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
@@ -33,7 +66,8 @@ class Nearest:
     """The nearest pair of one search."""
 
     distance_m: float
-    """Smallest signed distance, m; the ceiling if no pair is nearer than that."""
+    """Smallest signed distance, m; the ceiling if no pair is nearer than that; not a number if the
+    configuration is none."""
     pair: tuple[int, int] | None
     """Indices of the two pieces, smaller first; None at the ceiling."""
     measured: int
@@ -46,10 +80,18 @@ class NearestSearch:
     Args:
         model: The compiled scene. Its distance tolerance is set to `CCD_TOLERANCE_M`.
         geometry: The pieces.
+        watched: (n, n) symmetric; every pair that will ever be asked for.
         ceiling_m: Distances beyond this are not told apart, m.
     """
 
-    def __init__(self, model: mujoco.MjModel, geometry: Geometry, *, ceiling_m: float):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        geometry: Geometry,
+        watched: NDArray[np.bool_],
+        *,
+        ceiling_m: float,
+    ):
         model.opt.ccd_tolerance = CCD_TOLERANCE_M
         # Twice the default: a tighter tolerance may take more steps, and a search that ends for
         # lack of them is not exact.
@@ -57,6 +99,7 @@ class NearestSearch:
         self._model = model
         self._data = mujoco.MjData(model)
         self._ceiling_m = ceiling_m
+        self._watched = watched.copy()
         self._geoms = np.array([piece.geom for piece in geometry.pieces], dtype=int)
         boxes = model.geom_aabb[self._geoms]
         self._centre_local = boxes[:, :3].copy()
@@ -66,131 +109,326 @@ class NearestSearch:
         # MuJoCo's box of a plane is the half-space below it, with a centre 5e9 m down; what is
         # asked of a plane is its own origin.
         self._centre_local[self._planes] = 0.0
-        self._lists: dict[Hashable, _PairList] = {}
+        self._any_plane = bool(self._planes.any())
+        # Views into what MuJoCo writes.
+        self._qpos = self._data.qpos
+        self._geom_position = self._data.geom_xpos
+        self._geom_rotation = self._data.geom_xmat.reshape(-1, 3, 3)
+        self._body_position = self._data.xpos[:, :, None]
+        self._body_rotation = self._data.xmat.reshape(-1, 3, 3)
+        bodies = np.array([piece.body for piece in geometry.pieces], dtype=int)
+        self._corners_local = self._boxes_around(bodies)
+        self._body_radius_m = np.linalg.norm(
+            0.5 * (self._corners_local[:, :, 0] - self._corners_local[:, :, -1]), axis=1
+        )
+        # Nothing is known of planes; no sphere contains one.
+        self._body_radius_m[np.unique(bodies[self._planes])] = np.inf
+        mujoco.mj_kinematics(model, self._data)
+        self._corners = self._body_rotation @ self._corners_local + self._body_position
+        self._travel_m = np.zeros(model.nbody)
+        self._pairs = _Pairs.of(watched, bodies, self._geoms)
+        self._reach_m = self._radius_m[self._pairs.i] + self._radius_m[self._pairs.j]
+        self._reach_m += BOUND_SLACK_M
+        blocks = len(self._pairs.first)
+        # Bounds plus the travels of both bodies when they were made: of every block the least, and
+        # of its pairs in rising order with their rows.
+        self._kept_m = np.full(blocks, -np.inf)
+        self._sorted: list[tuple[list[float], list[int]]] = [([], [])] * blocks
+        # Whether the pairs of a block have bounds of their own.
+        self._made = [False] * blocks
+        self._forget()
+        # What follows from the configuration.
+        self._travelled_m = np.zeros(blocks)
+        self._bounds_m = self._kept_m.copy()
+        self._centre: NDArray[np.float64] | None = None
+        self._lost = False
+        self._groups: dict[Hashable, _Group] = {}
+        self._recent = -1
 
     def place(self, qpos: NDArray[np.float64]) -> None:
         """Moves the pieces to a configuration (nq,) of the model."""
-        self._data.qpos[:] = qpos
+        self._qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
-        rotation = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
-        self._rotation = rotation
-        self._centre = self._data.geom_xpos[self._geoms] + np.einsum(
-            "nij,nj->ni", rotation, self._centre_local
-        )
+        corners = np.matmul(self._body_rotation, self._corners_local)
+        corners += self._body_position
+        moved = corners - self._corners
+        self._corners = corners
+        self._travel_m += np.sqrt(np.einsum("bxc,bxc->bc", moved, moved).max(axis=1))
+        self._travel_m += BOUND_SLACK_M
+        self._lost = False
+        # Written so that what is not a number is not below either.
+        if not self._travel_m.max() < MAX_TRAVEL_M:
+            self._forget()
+            self._lost = not np.isfinite(corners).all()
+        self._centre = None
+        pairs = self._pairs
+        self._travelled_m = self._travel_m.take(pairs.body_i)
+        self._travelled_m += self._travel_m.take(pairs.body_j)
+        self._bounds_m = self._kept_m - self._travelled_m
 
     def nearest(self, mask: NDArray[np.bool_], key: Hashable = 0) -> Nearest:
         """Nearest pair among those of a symmetric mask (n, n), in the configuration last placed.
 
         Args:
-            mask: Which pairs count.
-            key: Names the mask; one mask a key. The search keeps its bounds and its last pair.
-        """
-        pairs = self._lists.get(key)
-        if pairs is None:
-            pairs = self._lists[key] = self._list(mask)
-        bounds = self._sphere_bounds(pairs)
-        best_m, best = self._ceiling_m, None
-        # Two guesses bring the limit down before any list is sorted: what was nearest last
-        # time, and what the spheres say is nearest now.
-        guesses = [] if pairs.last is None else [pairs.last]
-        if len(bounds):
-            guesses.append(int(np.argmin(bounds)))
-        for k in guesses:
-            best_m, best = self._measure(pairs, k, best_m, best)
-        measured = len(guesses)
-        near = np.flatnonzero(bounds < best_m)
-        for spheres, boxes in ((pairs.i, pairs.j), (pairs.j, pairs.i)):
-            bounds[near] = np.maximum(bounds[near], self._box_bounds(spheres[near], boxes[near]))
-            near = near[bounds[near] < best_m]
-        near_bounds = bounds[near]
-        order = np.argsort(near_bounds, kind="stable")
-        for k, bound in zip(near[order].tolist(), near_bounds[order].tolist(), strict=True):
-            if bound >= best_m:
-                break
-            if k not in guesses:
-                best_m, best = self._measure(pairs, k, best_m, best)
-                measured += 1
-        if best is None:
-            return Nearest(best_m, None, measured)
-        pairs.last = best
-        return Nearest(best_m, (int(pairs.i[best]), int(pairs.j[best])), measured)
+            mask: Which pairs count, all of them watched.
+            key: Names the mask; one mask a key. The search keeps what it knows of it.
 
-    def _list(self, mask: NDArray[np.bool_]) -> _PairList:
-        pairs_i, pairs_j = np.nonzero(np.triu(mask, 1))
-        with_plane = self._planes[pairs_i] | self._planes[pairs_j]
-        # Planes last, so that the two kinds of bound are two slices.
-        order = np.argsort(with_plane, kind="stable")
-        pairs_i, pairs_j = pairs_i[order], pairs_j[order]
-        return _PairList(
-            i=pairs_i,
-            j=pairs_j,
-            flat=pairs_i * len(self._geoms) + pairs_j,
-            reach_m=self._radius_m[pairs_i] + self._radius_m[pairs_j] + BOUND_SLACK_M,
-            first_plane=int(np.count_nonzero(~with_plane)),
+        Raises:
+            ValueError: If the mask has a pair that is not watched.
+        """
+        if self._lost:
+            return Nearest(float("nan"), None, 0)
+        group = self._groups.get(key)
+        if group is None:
+            group = self._groups[key] = self._group(mask)
+        best = _Best(self._ceiling_m)
+        if group.last >= 0:
+            self._measure(group.last, best)
+        blocks = self._below(group, best.distance_m)
+        expected = best.measured + self._candidates(blocks, best.distance_m)
+        group.waste += max(expected - group.usual, 0)
+        worn = group.waste > BATCH_WORTH
+        if blocks and (worn or not all(map(self._made.__getitem__, blocks))):
+            self._renew(group, self._below(group, best.distance_m + AHEAD_M), best)
+            blocks = self._below(group, best.distance_m)
+            group.waste = 0
+            group.usual = 1 + self._candidates(blocks, best.distance_m)
+        # What is nearest is likely in the block of the lowest bound.
+        for block in sorted(blocks, key=self._bounds_m.__getitem__):
+            travelled_m = float(self._travelled_m[block])
+            for kept_m, row in zip(*self._sorted[block], strict=True):
+                if kept_m - travelled_m >= best.distance_m:
+                    break
+                if group.counts[row]:
+                    self._measure(row, best)
+        if best.row < 0:
+            return Nearest(best.distance_m, None, best.measured)
+        group.last = self._recent = best.row
+        pair = (int(self._pairs.i[best.row]), int(self._pairs.j[best.row]))
+        return Nearest(best.distance_m, pair, best.measured)
+
+    def _below(self, group: _Group, limit_m: float) -> list[int]:
+        """The group's blocks with a lower bound below a limit."""
+        if group.blocks is None:
+            return np.flatnonzero(self._bounds_m < limit_m).tolist()
+        return group.blocks[self._bounds_m.take(group.blocks) < limit_m].tolist()
+
+    def _candidates(self, blocks: list[int], limit_m: float) -> int:
+        """How many pairs of some blocks have a lower bound below a limit."""
+        return sum(
+            bisect_left(self._sorted[block][0], limit_m + float(self._travelled_m[block]))
+            for block in blocks
         )
 
-    def _measure(
-        self, pairs: _PairList, k: int, best_m: float, best: int | None
-    ) -> tuple[float, int | None]:
+    def _measure(self, row: int, best: _Best) -> None:
         distance_m = mujoco.mj_geomDistance(
             self._model,
             self._data,
-            int(self._geoms[pairs.i[k]]),
-            int(self._geoms[pairs.j[k]]),
+            self._pairs.geom_i[row],
+            self._pairs.geom_j[row],
             # Asked for a limit below zero MuJoCo would not resolve how deep a contact is.
-            max(best_m, CCD_TOLERANCE_M),
+            max(best.distance_m, CCD_TOLERANCE_M),
             None,
         )
-        return (distance_m, k) if distance_m < best_m else (best_m, best)
+        best.measured += 1
+        if distance_m < best.distance_m:
+            best.distance_m, best.row = distance_m, row
 
-    def _sphere_bounds(self, pairs: _PairList) -> NDArray[np.float64]:
-        """Lower bounds (pairs,) from spheres around the pieces; from planes as they are."""
-        square = np.einsum("ni,ni->n", self._centre, self._centre)[:, None]
-        one = np.ones_like(square)
-        # |a - b|^2 = -2 a·b + |a|^2 + |b|^2 for all pieces at once.
-        left = np.hstack([-2.0 * self._centre, square, one])
-        right = np.hstack([self._centre, one, square])
-        bounds = (left @ right.T).take(pairs.flat)
-        np.sqrt(np.maximum(bounds, 0.0, out=bounds), out=bounds)
-        bounds -= pairs.reach_m
-        flat = slice(pairs.first_plane, None)
-        pairs_i, pairs_j = pairs.i[flat], pairs.j[flat]
-        planes = np.where(self._planes[pairs_i], pairs_i, pairs_j)
-        others = pairs_i + pairs_j - planes
-        normal = self._rotation[planes][:, :, 2]
-        height = np.einsum("ni,ni->n", self._centre[others] - self._centre[planes], normal)
-        bounds[flat] = height - pairs.reach_m[flat]
-        return bounds
+    def _renew(self, group: _Group, blocks: list[int], best: _Best) -> None:
+        """Makes the bounds of all pairs of some blocks anew, and measures the group's nearest by spheres."""
+        chosen = np.array(blocks)
+        if len(chosen) > MANY_BLOCKS:
+            chosen = self._not_apart(chosen, best.distance_m + AHEAD_M)
+            if not len(chosen):
+                return
+        pairs = self._pairs
+        counts = pairs.count[chosen]
+        ends = counts.cumsum()
+        starts = ends - counts
+        rows = np.repeat(pairs.first[chosen] - starts, counts) + np.arange(ends[-1])
+        i, j = pairs.i[rows], pairs.j[rows]
+        centre = self._centres()
+        bounds = self._sphere_bounds(centre, i, j) - self._reach_m[rows]
+        guess = int(np.where(group.mask[rows], bounds, np.inf).argmin())
+        if bounds[guess] < best.distance_m:
+            self._measure(int(rows[guess]), best)
+        near = np.flatnonzero(bounds < best.distance_m + REFINE_M)
+        bounds[near] = np.maximum(bounds[near], self._box_bounds(centre, i[near], j[near]))
+        travelled = self._travelled_m[chosen]
+        kept = np.where(bounds > 0.0, bounds + np.repeat(travelled, counts), -np.inf)
+        self._kept_m[chosen] = np.minimum.reduceat(kept, starts)
+        self._bounds_m[chosen] = self._kept_m[chosen] - travelled
+        order = np.lexsort((kept, np.repeat(starts, counts)))
+        sorted_m, sorted_rows = kept[order].tolist(), rows[order].tolist()
+        for block, start, end in zip(chosen.tolist(), starts.tolist(), ends.tolist(), strict=True):
+            self._sorted[block] = sorted_m[start:end], sorted_rows[start:end]
+            self._made[block] = True
+
+    def _not_apart(self, blocks: NDArray[np.int64], limit_m: float) -> NDArray[np.int64]:
+        """Those of some blocks that spheres around the two bodies do not show to be beyond a limit."""
+        pairs = self._pairs
+        # First and last corner are opposite ones.
+        centre = 0.5 * (self._corners[:, :, 0] + self._corners[:, :, -1])
+        body_i, body_j = pairs.body_i[blocks], pairs.body_j[blocks]
+        offset = centre[body_i] - centre[body_j]
+        gap = np.sqrt(np.einsum("nx,nx->n", offset, offset)) - BOUND_SLACK_M
+        gap -= self._body_radius_m[body_i] + self._body_radius_m[body_j]
+        kept = np.where(gap > 0.0, gap + self._travelled_m[blocks], -np.inf)
+        self._kept_m[blocks] = np.maximum(self._kept_m[blocks], kept)
+        self._bounds_m[blocks] = self._kept_m[blocks] - self._travelled_m[blocks]
+        return blocks[self._bounds_m[blocks] < limit_m]
+
+    def _forget(self) -> None:
+        """Drops every kept bound: afterwards none says more than that anything may be anywhere."""
+        self._travel_m[:] = 0.0
+        self._kept_m[:] = -np.inf
+        for block, (first, count) in enumerate(
+            zip(self._pairs.first.tolist(), self._pairs.count.tolist(), strict=True)
+        ):
+            self._sorted[block] = [-np.inf] * count, list(range(first, first + count))
+            self._made[block] = False
+
+    def _group(self, mask: NDArray[np.bool_]) -> _Group:
+        if (mask & ~self._watched).any():
+            raise ValueError("the mask has pairs that are not watched")
+        pairs = self._pairs
+        rows = mask[pairs.i, pairs.j]
+        blocks = np.flatnonzero(np.logical_or.reduceat(rows, pairs.first)) if len(rows) else None
+        every = blocks is None or len(blocks) == len(pairs.first)
+        counts = rows.tolist()
+        last = self._recent if self._recent >= 0 and counts[self._recent] else -1
+        return _Group(rows, counts, None if every else blocks, last)
+
+    def _centres(self) -> NDArray[np.float64]:
+        """(pieces, 3) centres of the pieces' spheres and boxes, made once a configuration, m."""
+        centre = self._centre
+        if centre is None:
+            rotation = self._geom_rotation[self._geoms]
+            centre = self._geom_position[self._geoms]
+            centre += np.einsum("nxy,ny->nx", rotation, self._centre_local)
+            self._centre = centre
+        return centre
+
+    def _sphere_bounds(
+        self, centre: NDArray[np.float64], i: NDArray[np.int64], j: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Distances (pairs,) between the centres of pieces; from planes to the centres, m."""
+        offset = centre.take(i, axis=0)
+        offset -= centre.take(j, axis=0)
+        distance = np.sqrt(np.einsum("nx,nx->n", offset, offset))
+        if self._any_plane:
+            flat = np.flatnonzero(self._planes[i] | self._planes[j])
+            first = self._planes[i[flat]]
+            normal = self._geom_rotation[self._geoms[np.where(first, i[flat], j[flat])], :, 2]
+            height = np.einsum("nx,nx->n", offset[flat], normal)
+            distance[flat] = np.where(first, -height, height)
+        return distance
 
     def _box_bounds(
-        self, spheres: NDArray[np.int64], boxes: NDArray[np.int64]
+        self, centre: NDArray[np.float64], i: NDArray[np.int64], j: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Lower bounds from the sphere of one piece and the oriented box of the other, m."""
-        offset = self._centre[spheres] - self._centre[boxes]
-        local = np.einsum("ni,nij->nj", offset, self._rotation[boxes])
+        """Lower bounds from the sphere of one piece and the oriented box of the other, both ways, m."""
+        spheres, boxes = np.concatenate([i, j]), np.concatenate([j, i])
+        offset = centre[spheres] - centre[boxes]
+        local = np.einsum("nx,nxy->ny", offset, self._geom_rotation[self._geoms[boxes]])
         outside = np.maximum(np.abs(local) - self._half_m[boxes], 0.0)
-        gap = np.sqrt(np.einsum("ni,ni->n", outside, outside))
+        gap = np.sqrt(np.einsum("nx,nx->n", outside, outside))
         # Inside the box the gap says nothing about depth; a plane has no box.
-        known = (gap > 0.0) & ~(self._planes[spheres] | self._planes[boxes])
-        return np.where(known, gap - self._radius_m[spheres] - BOUND_SLACK_M, -np.inf)
+        known = gap > 0.0
+        if self._any_plane:
+            known &= ~(self._planes[spheres] | self._planes[boxes])
+        bounds = np.where(known, gap - self._radius_m[spheres] - BOUND_SLACK_M, -np.inf)
+        return np.maximum(bounds[: len(i)], bounds[len(i) :])
+
+    def _boxes_around(self, bodies: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(bodies, 3, 8) corners of a box around the pieces of each body, in the body's frame, m.
+
+        A plane has no corners and needs none: MuJoCo has planes on bodies that stand still only.
+        """
+        signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+        corners = np.zeros((self._model.nbody, 3, 8))
+        for body in np.unique(bodies[~self._planes]).tolist():
+            points = []
+            for piece in np.flatnonzero((bodies == body) & ~self._planes).tolist():
+                geom, rotation = int(self._geoms[piece]), np.empty(9)
+                mujoco.mju_quat2Mat(rotation, self._model.geom_quat[geom])
+                box = self._centre_local[piece] + signs * self._half_m[piece]
+                points.append(self._model.geom_pos[geom] + box @ rotation.reshape(3, 3).T)
+            low, high = np.min(points, axis=(0, 1)), np.max(points, axis=(0, 1))
+            corners[body] = np.where(signs > 0.0, high, low).T
+        return corners
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """All watched pairs, one row each, block by block: a block is what two bodies have."""
+
+    i: NDArray[np.int64]
+    """(rows,) smaller piece index."""
+    j: NDArray[np.int64]
+    """(rows,) larger piece index."""
+    geom_i: list[int]
+    """(rows,) geom of the one piece."""
+    geom_j: list[int]
+    """(rows,) geom of the other."""
+    first: NDArray[np.int64]
+    """(blocks,) first row."""
+    count: NDArray[np.int64]
+    """(blocks,) how many rows."""
+    body_i: NDArray[np.int64]
+    """(blocks,) body of the pieces i."""
+    body_j: NDArray[np.int64]
+    """(blocks,) body of the pieces j."""
+
+    @classmethod
+    def of(
+        cls, watched: NDArray[np.bool_], bodies: NDArray[np.int64], geoms: NDArray[np.int64]
+    ) -> _Pairs:
+        i, j = np.nonzero(np.triu(watched, 1))
+        order = np.lexsort((bodies[j], bodies[i]))
+        i, j = i[order], j[order]
+        names = np.stack([bodies[i], bodies[j]], axis=1)
+        blocks, first, count = np.unique(names, axis=0, return_index=True, return_counts=True)
+        return cls(
+            i=i,
+            j=j,
+            geom_i=geoms[i].tolist(),
+            geom_j=geoms[j].tolist(),
+            first=first,
+            count=count,
+            body_i=blocks[:, 0].copy(),
+            body_j=blocks[:, 1].copy(),
+        )
 
 
 @dataclass
-class _PairList:
-    """The pairs of one mask, and which of them was nearest last."""
+class _Group:
+    """The pairs of one mask, and what the search remembers of them."""
 
-    i: NDArray[np.int64]
-    """(pairs,) smaller piece index."""
-    j: NDArray[np.int64]
-    """(pairs,) larger piece index."""
-    flat: NDArray[np.int64]
-    """(pairs,) their place in a flattened table over pieces."""
-    reach_m: NDArray[np.float64]
-    """(pairs,) sum of the bounding radii."""
-    first_plane: int
-    """From this pair on one of the two is a plane."""
-    last: int | None = None
-    """Index of the nearest pair of the last search."""
+    mask: NDArray[np.bool_]
+    """(rows,) which pairs count."""
+    counts: list[bool]
+    """The same for reading one by one."""
+    blocks: NDArray[np.int64] | None
+    """Blocks that have a pair that counts; None: all."""
+    last: int
+    """Row of the nearest pair of the last search; -1: none."""
+    waste: int = 0
+    """Measurements since the bounds were last made anew beyond what was needed then."""
+    usual: int = 0
+    """How many were needed then."""
+
+
+@dataclass
+class _Best:
+    """The nearest pair so far of one search."""
+
+    distance_m: float
+    """Its distance, at first the ceiling."""
+    row: int = -1
+    """Its row; -1: none."""
+    measured: int = 0
+    """Measurements made."""
 
 
 def _bounding_radii(
