@@ -399,9 +399,10 @@ def test_the_tool_rows_are_minks_and_the_solution_the_same(
             rows,
             bounds,
         )
-        return whole, *task, solution
+        return whole, *task, solution, inverse.tool_error
 
     mine, theirs = both(solve)
+    np.testing.assert_allclose(mine[5], theirs[5], rtol=0, atol=1e-13)
     # mink's coefficients are quotients of differences and lose digits where frames are turned by little
     # against each other; below 1e-5 rad it leaves them out.
     blur = 1e-11 + (1e-15 / turn_rad**2 if turn_rad > 1e-5 else 0.0)

@@ -153,6 +153,7 @@ class CompiledShare(Share):
         self._programs: dict[int, Program] = {}
         self._settle: Bound | None = None
         self._settings: Control | None = None
+        self._chosen: tuple[float, ...] = ()
 
     def surroundings(self, *, approaching: bool) -> tuple[float, float]:
         """See `share.Share.surroundings`."""
@@ -200,13 +201,16 @@ class CompiledShare(Share):
         kind = _KINDS[settings.criterion]
         if push is not None:
             kind, kept["push"][...] = _PUSH, push.linear
-        kept["choice"][...] = ways, kind, self.support, ik.tool_rows
-        kept["settings"][...] = ik.dt_s, ik.criterion.gain
-        kept["stops"][2] = ik.criterion.gain
+        choice = ways, kind, self.support, ik.tool_rows, ik.criterion.gain
+        if choice != self._chosen:
+            self._chosen = choice
+            kept["choice"][...] = choice[:4]
+            kept["settings"][...] = ik.dt_s, ik.criterion.gain
+            kept["stops"][...] = STOP_MARGIN_RAD, STOP_PUSH_RAD_S, ik.criterion.gain
         self._program.run()
         if self._program.done() != DONE:
             return None
-        velocity = solution(self._written(kept["counts"].sum()))
+        velocity = solution(self._written(kept["counts"].item(0) + ik.tool_rows))
         if velocity is None:
             return None
         settled = self._settle.arrays
@@ -260,12 +264,11 @@ class CompiledShare(Share):
         self._keeps.arrays["rule"][...] = (*rule, AT_REST_M_S, TASK_SLACK_M_S)
         if self._program is not None:
             self._program.arrays["rule"][...] = (*rule, TASK_SLACK_M_S)
-            self._program.arrays["stops"][:2] = STOP_MARGIN_RAD, STOP_PUSH_RAD_S
 
     def _bind_program(self, ik: CompiledIk) -> None:
         """Arrays for the arm's program: the rows of all pairs that it moves, and the tool's six."""
         rows, n = len(self.pairs.moved) + 6, len(self._dof)
-        self._aimed_by, self._settings = ik, None
+        self._aimed_by, self._settings, self._chosen = ik, None, ()
         self._program = self._kernels.bind(
             "program",
             self._sizes

@@ -56,6 +56,7 @@ ELBOW_PUSH = 0.25
 """Strength of the push to one side; chosen so that the elbow swings at about 0.5 rad/s at the default criterion gain."""
 FIXED_ELBOW_M2 = 1e-6
 """Square of the lever (1 mm) below which no self-motion moves the elbow sideways."""
+_SITE = mujoco.mjtObj.mjOBJ_SITE
 MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")
 """Rungs in rising order of severity; the cell's mode is its most severe arm's."""
 
@@ -78,6 +79,9 @@ class Controller:
         self._belief = mink.Configuration(cell.model)
         cell.place_home(self._belief.data)
         self._belief.update()
+        # MuJoCo's arrays never move; asking for them anew each tick takes as long as using them.
+        self._site_xpos, self._site_xmat = self._belief.data.site_xpos, self._belief.data.site_xmat
+        self._twist = np.empty(6)
         self._geometry = PairGeometry(
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
         )
@@ -228,12 +232,11 @@ class Controller:
         return watched.timed(rates.rate_m_s, kappa, qvel)
 
     def _look_at(self, arm: ControlledArm) -> ArmRecord:
-        data, handles = self._belief.data, arm.handles
-        wxyz, twist = np.empty(4), np.empty(6)
+        handles, wxyz = arm.handles, np.empty(4)
         mujoco.mj_objectVelocity(
-            self.cell.model, data, mujoco.mjtObj.mjOBJ_SITE, handles.tool_site, twist, 0
+            self.cell.model, self._belief.data, _SITE, handles.tool_site, self._twist, 0
         )
-        mujoco.mju_mat2Quat(wxyz, data.site_xmat[handles.tool_site])
+        mujoco.mju_mat2Quat(wxyz, self._site_xmat[handles.tool_site])
         artc, armd = arm.share.surroundings(
             approaching=self._settings.criterion == "artc_approaching"
         )
@@ -244,14 +247,14 @@ class Controller:
             target_turn_rad_s=arm.target.angular_velocity_rad_s,
             job="",
             path_s=0.0,
-            tool_position_m=data.site_xpos[handles.tool_site].copy(),
+            tool_position_m=self._site_xpos[handles.tool_site].copy(),
             tool_wxyz=wxyz,
-            tool_speed_m_s=math.hypot(*twist[3:].tolist()),
+            tool_speed_m_s=math.hypot(*self._twist[3:].tolist()),
             tool_error_m=0.0,
             tool_error_rad=0.0,
             elbow_position_m=None
             if handles.elbow_site is None
-            else data.site_xpos[handles.elbow_site].copy(),
+            else self._site_xpos[handles.elbow_site].copy(),
             artc_per_s=artc,
             armd_per_m=armd,
         )
@@ -313,8 +316,7 @@ class Controller:
             row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
             row.target_velocity_m_s = arm.target.velocity_m_s
             row.target_turn_rad_s = arm.target.angular_velocity_rad_s
-            row.tool_error_m = math.dist(row.tool_position_m, row.target_position_m)
-            row.tool_error_rad = _angle(row.tool_wxyz, row.target_wxyz)
+            row.tool_error_m, row.tool_error_rad = arm.ik.tool_error
         record.holders = self.grasps.summary()
 
     def _aim(self, arm: ControlledArm, job: str) -> None:
@@ -383,12 +385,12 @@ class Controller:
 
     def _count(self, arm: ControlledArm) -> None:
         """What other arms may count on this one to do."""
-        ways, dofs = self._watched.ways_rad_s, arm.dofs
+        ways, columns = self._watched.ways_rad_s, arm.columns
         if arm.support:
-            ways[:, dofs] = arm.command_rad_s
+            ways[:, columns] = arm.command_rad_s
         else:
-            ways[0, dofs], ways[1, dofs] = arm.command_rad_s, arm.wanted_rad_s
-            ways[2, dofs] = arm.followed_rad_s
+            ways[0, columns], ways[1, columns] = arm.command_rad_s, arm.wanted_rad_s
+            ways[2, columns] = arm.followed_rad_s
 
     def _steer(self, arm: ControlledArm, record: TickRecord) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
@@ -551,8 +553,8 @@ class Controller:
     def _judge(self, record: TickRecord) -> None:
         for arm in self._arms:
             self._finite(arm.command_rad_s, f"the command of arm {arm.handles.name}")
-            record.wanted_rad_s[arm.dofs] = arm.wanted_rad_s
-            record.command_rad_s[arm.dofs] = arm.command_rad_s
+            record.wanted_rad_s[arm.columns] = arm.wanted_rad_s
+            record.command_rad_s[arm.columns] = arm.command_rad_s
         rates = self._watched.rates(record.command_rad_s)
         record.ttc_command_s = _or_none(rates.first.ttc_s)
         record.ttc_command_pair = None if rates.first.pair < 0 else rates.first.pair
@@ -720,10 +722,3 @@ def _preferring(push: NDArray[np.float64]) -> NullspaceObjective:
 
 def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
-
-
-def _angle(a_wxyz: NDArray[np.float64], b_wxyz: NDArray[np.float64]) -> float:
-    """Angle of the rotation between two unit quaternions, accurate near zero."""
-    # |a - b| and |a + b| are 2 sin and 2 cos of a quarter of the angle; the sign of a quaternion is free.
-    apart, along = math.dist(a_wxyz, b_wxyz), math.dist(a_wxyz, -b_wxyz)
-    return 4.0 * math.atan2(min(apart, along), max(apart, along))

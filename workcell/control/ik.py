@@ -274,6 +274,8 @@ class ArmIk:
         self._at_work: CompiledIk | None = None
         self.aimed_by: CompiledIk | None = None
         """What the last `aim` was done by; None for NumPy."""
+        self.tool_error = (0.0, 0.0)
+        """How far the tool was from its target then, m and rad."""
         self.path_rad_s = np.zeros(len(arm.dofs))
         """(n,) the part of the last `aim` that the target's own motion asks for, corrections of the tool error aside."""
 
@@ -323,8 +325,10 @@ class ArmIk:
             if found is not None:
                 self._tool_rows, self._tool_rates, whole, self.path_rad_s = found
                 self.aimed_by = compiled
+                self.tool_error = compiled.tool_error()
                 return whole
         self.aimed_by = None
+        self.tool_error = _tool_error(configuration, self.arm.tool_site, target)
         return self._aim(configuration, catch_up_m_s, free_rotation)
 
     def _aim(
@@ -550,6 +554,8 @@ class CompiledIk:
         self._velocity, self._turn = kept["velocity"], kept["turn"]
         self._settings, self._free = kept["settings"], kept["free"]
         self._whole, self._path = kept["whole"], kept["path"]
+        self.tool_error = kept["error"].tolist
+        """Distance to the target and angle, m and rad, of the last `aim`."""
         self._tool = {
             free: (kept["rows"][: 6 - free], kept["rates"][: 6 - free]) for free in (False, True)
         }
@@ -597,6 +603,18 @@ class CompiledIk:
         self._followed.setting[0] = self._dt_s
         self._followed.run()
         return kept["within"].copy() if self._followed.done() == DONE else None
+
+
+def _tool_error(
+    configuration: mink.Configuration, site: int, target: Target
+) -> tuple[float, float]:
+    """Distance and angle between a tool and its target, m and rad."""
+    data, wxyz = configuration.data, np.empty(4)
+    mujoco.mju_mat2Quat(wxyz, data.site_xmat[site])
+    # |a - b| and |a + b| are 2 sin and 2 cos of a quarter of the angle; the sign of a quaternion is free.
+    apart, along = math.dist(wxyz, target.wxyz), math.dist(wxyz, -target.wxyz)
+    angle = 4.0 * math.atan2(min(apart, along), max(apart, along))
+    return math.dist(data.site_xpos[site], target.position_m), angle
 
 
 def _integers(values: ArrayLike) -> NDArray[np.int64]:

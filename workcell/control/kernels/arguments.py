@@ -173,6 +173,7 @@ SIGNATURES: dict[str, Signature] = {
         solved        f 2 6
         whole         f dofs
         path          f dofs
+        error         f 2
         answer        i 1
         """,
     ),

@@ -713,12 +713,12 @@ def _coupling(rho, phi, a):
 def aim(
     joints, bodies, sites, dofs,
     site_xpos, site_xmat, cdof, subtree_com, site, dof, dof_root, moves, position, wxyz, velocity,
-    turn, settings, free, rows, rates, gram, solved, whole, path, answer,
+    turn, settings, free, rows, rates, gram, solved, whole, path, error, answer,
 ):  # fmt: skip
     """`ArmIk.aim` with mink's frame task: error log(T_bt), Jacobian minus its inverse left Jacobian times J.
 
     `settings` are mink's gain, the period, the largest speed of correction and the length that counts as a
-    radian in it; `free` leaves the last row out.
+    radian in it; `free` leaves the last row out; `error` is the distance to the target and the angle.
     """
     answer[0] = REFUSED
     given = wxyz[0] + wxyz[1] + wxyz[2] + wxyz[3]
@@ -740,10 +740,12 @@ def aim(
     if w < 0.0:
         w, v = -w, _times(-1.0, v)
     sine = _length(v)
-    phi = _times(2.0 * math.atan2(sine, w) / sine, v) if sine > 0.0 else (0.0, 0.0, 0.0)
+    error[1] = 2.0 * math.atan2(sine, w)
+    phi = _times(error[1] / sine, v) if sine > 0.0 else (0.0, 0.0, 0.0)
     # For the Jacobian mink takes frames so little turned against each other as turned alike.
     turned_alike = _dot(phi, phi) < MINK_SMALL_TURN_SQUARED
     offset = (position[0] - here[0], position[1] - here[1], position[2] - here[2])
+    error[0] = _length(offset)
     rho = _inverse_left(phi, _turned_back(site_xmat, tool, offset))
     # What the target does by itself, in its own frame; mink's gain is taken out of it again.
     rate = -gain / period
