@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from workcell.motion import path as path_module
 from workcell.motion.path import TURN_LENGTH_M_PER_RAD, PathGeometry, TimedPath, standing
 
 unit = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
@@ -104,6 +105,51 @@ def test_a_run_backwards_passes_the_same_poses():
         out, home = there.target(t), back.target(back.duration_s - t)
         np.testing.assert_allclose(out.position_m, home.position_m, atol=1e-9)
         np.testing.assert_allclose(out.velocity_m_s, -home.velocity_m_s, atol=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(point, point.filter(lambda p: np.linalg.norm(p) > 1e-4), unit)
+def test_a_line_without_a_turn_is_what_the_spline_would_be(start, way, quaternion):
+    positions = np.array([start, np.add(start, way)])
+    wxyz = np.array(quaternion) / np.linalg.norm(quaternion)
+    line = PathGeometry(positions, np.array([wxyz, wxyz]))
+    spline = path_module._spline(positions, np.array([wxyz, wxyz]))
+    assert line.length_m == pytest.approx(float(spline.x[-1]), rel=1e-9)
+    assert line.length_m == pytest.approx(np.linalg.norm(way), rel=1e-9)
+    for s in line.length_m * np.array([0.0, 0.3, 1.0]):
+        value, rate = spline(s), spline(s, 1)
+        target = line.target(s, 0.7)
+        np.testing.assert_allclose(target.position_m, value[:3], atol=1e-9)
+        assert angle(target.wxyz, value[3:]) < 1e-9
+        np.testing.assert_allclose(target.velocity_m_s, 0.7 * rate[:3], atol=1e-9)
+        assert not target.angular_velocity_rad_s.any()
+    assert not line.bend(np.linspace(0.0, line.length_m, 5)).any()
+
+
+@settings(max_examples=25, deadline=None)
+@given(poses, st.floats(-0.2, 1.2), st.floats(-1.0, 1.0))
+def test_a_target_is_the_curve_as_scipy_evaluates_it(poses, where, speed):
+    """Beyond the ends, too, where it is that of the end; with a turn the other way round on the way back."""
+    curve = geometry(poses)
+    if curve.length_m == 0.0:
+        return
+    s = where * curve.length_m
+    clamped = min(max(s, 0.0), curve.length_m)
+    value, rate = curve._curve(clamped), curve._curve(clamped, 1)
+    target = curve.target(s, speed)
+    np.testing.assert_allclose(target.position_m, value[:3], atol=1e-12)
+    assert angle(target.wxyz, value[3:]) < 1e-12
+    np.testing.assert_allclose(target.velocity_m_s, speed * rate[:3], atol=1e-10)
+    # ω of a unit quaternion, from its rotation a little later.
+    h = 1e-6
+    later = Rotation.from_quat(value[3:] + h * rate[3:], scalar_first=True)
+    turn = later * Rotation.from_quat(value[3:], scalar_first=True).inv()
+    np.testing.assert_allclose(
+        target.angular_velocity_rad_s, speed * turn.as_rotvec() / h, rtol=1e-4, atol=1e-4
+    )
+    pose = curve.pose(s)
+    np.testing.assert_array_equal(pose[0], target.position_m)
+    np.testing.assert_array_equal(pose[1], target.wxyz)
 
 
 def test_degenerate_paths_stand_still():

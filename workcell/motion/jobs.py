@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workcell import scenario
 from workcell.motion.operator import path_through
 from workcell.motion.orientation import pointing, turned_towards
-from workcell.motion.path import PathGeometry, Target, TimedPath, standing
+from workcell.motion.path import PathGeometry, Target, TimedPath, length, standing
 
 Vector = NDArray[np.float64]
 
@@ -289,11 +289,11 @@ class JobSequence:
                         geometry,
                         speed_m_s=job.speed_m_s,
                         acceleration_m_s2=job.acceleration_m_s2,
-                        start_m=length,
+                        start_m=reached_m,
                         end_m=0.0,
                     )
                 )
-                for geometry, length in reversed(self._travelled)
+                for geometry, reached_m in reversed(self._travelled)
             ]
             self._travelled = []
             self._target = (
@@ -354,13 +354,13 @@ class JobSequence:
         if isinstance(job, scenario.Put):
             item = around.instruments[job.instrument]
             # With the free end down, the centre is this far below the tool.
-            return item.place_m - _length(item.centre_m - tool) * _DOWN, _DOWN
+            return item.place_m - length(item.centre_m - tool) * _DOWN, _DOWN
         there = around.tool_position_m[job.arm]
         if isinstance(job, scenario.Present):
             entry = self._entry or job.entry
             toward = -_entry_direction(entry, around.base_position_m[job.arm], there)
             # The instrument will point along the tool once the tool has turned.
-            return there - (job.distance_m + _length(self._held_m(around))) * toward, toward
+            return there - (job.distance_m + length(self._held_m(around))) * toward, toward
         if isinstance(job, scenario.Exchange) and job.direction == "take":
             # Gripped at the end that is free.
             return _end(around.instruments[job.instrument], there), None
@@ -371,7 +371,7 @@ class JobSequence:
         axis, or what is to be put down."""
         if isinstance(job, scenario.Put):
             held = self._held_m(around)
-            return held / max(_length(held), 1e-9)
+            return held / max(length(held), 1e-9)
         return pointing(self._target.wxyz)
 
     def _held_m(self, around: Surroundings) -> Vector:
@@ -391,7 +391,7 @@ class JobSequence:
         ):
             return False
         limit = REPLAN_PRESENT_M if isinstance(job, scenario.Present) else REPLAN_M
-        return _length(self._goal(job, around)[0] - planned) > limit
+        return length(self._goal(job, around)[0] - planned) > limit
 
 
 def _meeting(job: scenario.Job | None) -> Meeting | None:
@@ -415,11 +415,7 @@ def _entry_direction(entry: scenario.Entry, base_m: Vector, tool_m: Vector) -> V
     if entry == "above":
         return np.array([0.0, 0.0, 1.0])
     x, y, _ = (tool_m - base_m).tolist()
-    length = math.hypot(x, y)
+    out = math.hypot(x, y)
     # A tool right above its base has no left: the world's y axis stands in.
-    left = np.array([-y / length, x / length, 0.0] if length > 1e-6 else [0.0, 1.0, 0.0])
+    left = np.array([-y / out, x / out, 0.0] if out > 1e-6 else [0.0, 1.0, 0.0])
     return left if entry == "left" else -left
-
-
-def _length(vector: Vector) -> float:
-    return math.hypot(*vector.tolist())

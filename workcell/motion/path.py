@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from workcell.motion.cubic import Cubic
-from workcell.motion.orientation import angular_velocity, unit
+from workcell.motion.orientation import angular_velocity, rotation_between, unit
 
 TURN_LENGTH_M_PER_RAD = 0.25
 """Turning counts as length, so that a turn on the spot takes time too; chosen: about a hand's distance from the wrist."""
@@ -55,6 +55,11 @@ def standing(position_m: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Targ
     return Target(np.array(position_m), np.array(wxyz), np.zeros(3), np.zeros(3))
 
 
+def length(vector: NDArray[np.float64]) -> float:
+    """Of a vector of a few entries; NumPy's norm takes a microsecond more."""
+    return math.hypot(*vector.tolist())
+
+
 class PathGeometry:
     """A smooth curve of tool poses.
 
@@ -75,42 +80,12 @@ class PathGeometry:
         if len(positions) == 1:
             self.length_m = 0.0
             return
-        rotations = Rotation.from_quat(quaternions, scalar_first=True)
-        chords = _chords(positions, rotations)
-        knots = np.concatenate([[0.0], np.cumsum(chords)])
-        # Two waypoints make a straight line; from three on the curve is a spline with natural ends.
-        position = CubicSpline(knots, positions, bc_type="natural")
-        orientation = RotationSpline(knots, rotations)
-        grid = np.linspace(0.0, knots[-1], max(3, int(np.ceil(knots[-1] / _STEP_M)) + 1))
-        fine = np.linspace(0.0, knots[-1], 8 * len(grid))
-        rate = np.hypot(
-            np.linalg.norm(position(fine, 1), axis=1),
-            TURN_LENGTH_M_PER_RAD * np.linalg.norm(orientation(fine, 1), axis=1),
+        straight = len(positions) == 2 and np.array_equal(quaternions[0], quaternions[1])
+        self._curve = (
+            _line(positions, quaternions[0]) if straight else _spline(positions, quaternions)
         )
-        # Where the curve turns back on itself it hardly moves; counting it as moving a little keeps the
-        # parameter regular there, and the tool below the speed asked for rather than above.
-        # The sixteenth-power mean is a maximum without the kink.
-        floor = SLOWEST_SHARE * rate.mean()
-        rate = floor * ((rate / floor) ** 16 + 1.0) ** (1 / 16)
-        length = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (rate[1:] + rate[:-1]) / 2)])
-        self.length_m = float(length[-1])
-        at = np.linspace(0.0, self.length_m, len(grid))
-        where = PchipInterpolator(length, fine)(at)
-        quats = _continuous(orientation(where).as_quat(scalar_first=True))
-        curve = CubicSpline(
-            at,
-            np.hstack([position(where), quats]),
-            bc_type="not-a-knot" if len(at) > 3 else "natural",
-        )
-        # Between the table's entries a sharp turn can come out faster than it should: counted as longer.
-        stretch = max(1.0, _peak_rate(curve, 8 * len(at)))
-        if stretch > 1.0 + RATE_TOLERANCE:
-            self.length_m *= stretch
-            curve = CubicSpline(
-                at * stretch, curve(at), bc_type="not-a-knot" if len(at) > 3 else "natural"
-            )
-        self._curve = curve
-        self._table = Cubic(curve)
+        self._table = Cubic(self._curve)
+        self.length_m = self._table.end
 
     def pose(self, s_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position and unit quaternion at a length along the curve, clamped to its ends."""
@@ -217,6 +192,47 @@ class TimedPath:
         return _ramp_up(clock_s, v, ramp)
 
 
+def _line(positions: NDArray[np.float64], wxyz: NDArray[np.float64]) -> PPoly:
+    """What `_spline` makes of two waypoints of one orientation, at no cost: a goal that moves asks for it in mid-run."""
+    way = positions[1] - positions[0]
+    end = length(way)
+    coefficients = np.zeros((4, 1, 7))
+    coefficients[2, 0, :3] = way / end
+    coefficients[3, 0] = np.concatenate([positions[0], unit(wxyz.tolist())])
+    return PPoly(coefficients, np.array([0.0, end]))
+
+
+def _spline(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> PPoly:
+    """The curve of position and quaternion through waypoints, by its length."""
+    rotations = Rotation.from_quat(quaternions, scalar_first=True)
+    knots = np.concatenate([[0.0], np.cumsum(_chords(positions, rotations))])
+    # Two waypoints make a straight line; from three on the curve is a spline with natural ends.
+    position = CubicSpline(knots, positions, bc_type="natural")
+    orientation = RotationSpline(knots, rotations)
+    grid = np.linspace(0.0, knots[-1], max(3, int(np.ceil(knots[-1] / _STEP_M)) + 1))
+    fine = np.linspace(0.0, knots[-1], 8 * len(grid))
+    rate = np.hypot(
+        np.linalg.norm(position(fine, 1), axis=1),
+        TURN_LENGTH_M_PER_RAD * np.linalg.norm(orientation(fine, 1), axis=1),
+    )
+    # Where the curve turns back on itself it hardly moves; counting it as moving a little keeps the
+    # parameter regular there, and the tool below the speed asked for rather than above.
+    # The sixteenth-power mean is a maximum without the kink.
+    floor = SLOWEST_SHARE * rate.mean()
+    rate = floor * ((rate / floor) ** 16 + 1.0) ** (1 / 16)
+    run = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (rate[1:] + rate[:-1]) / 2)])
+    at = np.linspace(0.0, run[-1], len(grid))
+    where = PchipInterpolator(run, fine)(at)
+    quats = _continuous(orientation(where).as_quat(scalar_first=True))
+    ends = "not-a-knot" if len(at) > 3 else "natural"
+    curve = CubicSpline(at, np.hstack([position(where), quats]), bc_type=ends)
+    # Between the table's entries a sharp turn can come out faster than it should: counted as longer.
+    stretch = max(1.0, _peak_rate(curve, 8 * len(at)))
+    if stretch > 1.0 + RATE_TOLERANCE:
+        curve = CubicSpline(at * stretch, curve(at), bc_type=ends)
+    return curve
+
+
 def _peak_rate(curve: CubicSpline, samples: int) -> float:
     """Largest speed along a curve of position and quaternion, turning counted as length."""
     at = np.linspace(curve.x[0], curve.x[-1], samples)
@@ -244,10 +260,9 @@ def _slowed_in_bends(
     if allowed.min() >= speed_m_s**2:
         return None
     gain = 2.0 * share * way[1]
-    for order in (range(1, len(way)), range(len(way) - 2, -1, -1)):
-        for k in order:
-            before = k - 1 if order.step > 0 else k + 1
-            allowed[k] = min(allowed[k], allowed[before] + gain)
+    climb = gain * np.arange(len(way))
+    allowed = climb + np.minimum.accumulate(allowed - climb)
+    allowed = (climb + np.minimum.accumulate(allowed[::-1] - climb))[::-1]
     slowness = speed_m_s / np.sqrt(allowed)
     counted = np.concatenate([[0.0], np.cumsum(way[1] * (slowness[1:] + slowness[:-1]) / 2)])
     return Cubic(PchipInterpolator(counted, way))
@@ -273,14 +288,8 @@ def _without_repeats(
     keep = [0]
     for k in range(1, len(positions)):
         last = keep[-1]
-        turn = (
-            Rotation.from_quat(wxyz[last], scalar_first=True).inv()
-            * Rotation.from_quat(wxyz[k], scalar_first=True)
-        ).magnitude()
-        if (
-            np.hypot(np.linalg.norm(positions[k] - positions[last]), TURN_LENGTH_M_PER_RAD * turn)
-            > 1e-6
-        ):
+        turn = length(rotation_between(wxyz[last], wxyz[k]))
+        if math.hypot(length(positions[k] - positions[last]), TURN_LENGTH_M_PER_RAD * turn) > 1e-6:
             keep.append(k)
     return positions[keep], wxyz[keep]
 

@@ -10,6 +10,7 @@ rules in docs/teleop.md: stand still over a gap, cross a jump at limited speed.
 from __future__ import annotations
 
 import csv
+from bisect import bisect_right
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from workcell import scenario
 from workcell.errors import InputError
 from workcell.motion.orientation import rotation_between, turned
-from workcell.motion.path import Target, standing
+from workcell.motion.path import Target, length, standing
 from workcell.motion.samples import HAND_SPEED_M_S, HAND_TURN_RAD_S
 from workcell.motion.slew import Caps, TargetGovernor
 from workcell.motion.wish import ENDED, GAP, JUMP, VALID, WAITING, Wish
@@ -139,6 +140,7 @@ class RecordingOperator:
         period_s: float,
     ):
         self._samples = read(settings.file)
+        self._times: list[float] = self._samples.time_s.tolist()
         self._settings = settings
         self._start = standing(position_m, wxyz)
         # Half a tick: a sample written at a tick is found again whatever the last digit of its time.
@@ -158,31 +160,31 @@ class RecordingOperator:
 
     def _wanted(self, time_s: float) -> tuple[Target, str]:
         """The recording's own pose and twist at a time, and what is wrong with it there."""
-        samples, settings = self._samples, self._settings
-        if time_s < samples.time_s[0] - self._at_sample_s:
+        samples, times, settings = self._samples, self._times, self._settings
+        if time_s < times[0] - self._at_sample_s:
             return self._start, WAITING
-        k = int(np.searchsorted(samples.time_s, time_s + self._at_sample_s, side="right")) - 1
+        k = bisect_right(times, time_s + self._at_sample_s) - 1
         here = standing(samples.position_m[k], samples.wxyz[k])
-        if k == len(samples.time_s) - 1 and time_s > samples.time_s[k] + self._at_sample_s:
+        exact = time_s - times[k] <= self._at_sample_s
+        if k == len(times) - 1 and not exact:
             return here, ENDED
-        exact = time_s - samples.time_s[k] <= self._at_sample_s
         if exact and samples.twist is not None:
             return (
                 Target(here.position_m, here.wxyz, samples.twist[k, :3], samples.twist[k, 3:]),
                 VALID,
             )
-        if k == len(samples.time_s) - 1:
+        if k == len(times) - 1:
             return here, VALID
-        step_s = float(samples.time_s[k + 1] - samples.time_s[k])
+        step_s = times[k + 1] - times[k]
         way = samples.position_m[k + 1] - samples.position_m[k]
         turn = rotation_between(samples.wxyz[k], samples.wxyz[k + 1])
         if step_s > settings.gap_s:
             return here, VALID if exact else GAP
         leap_m = settings.jump_m + HAND_SPEED_M_S * step_s
         leap_rad = settings.jump_rad + HAND_TURN_RAD_S * step_s
-        if np.linalg.norm(way) > leap_m or np.linalg.norm(turn) > leap_rad:
+        if length(way) > leap_m or length(turn) > leap_rad:
             return here, VALID if exact else JUMP
-        part = 0.0 if exact else (time_s - float(samples.time_s[k])) / step_s
+        part = 0.0 if exact else (time_s - times[k]) / step_s
         if samples.twist is None:
             velocity, spin = way / step_s, turn / step_s
         else:

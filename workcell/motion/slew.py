@@ -11,13 +11,14 @@ the square root being the speed from which braking at half the cap still fits.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.motion.orientation import rotation_between, turned
-from workcell.motion.path import Target, standing
+from workcell.motion.path import Target, length, standing
 from workcell.motion.wish import CATCHING_UP, VALID
 
 GAIN_PER_S = 10.0
@@ -77,10 +78,10 @@ class TargetGovernor:
         if state != VALID:
             self._behind = True
         elif (
-            np.linalg.norm(wanted.position_m - target.position_m)
-            < CAUGHT_UP_M + np.linalg.norm(target.velocity_m_s) / GAIN_PER_S
-            and np.linalg.norm(rotation_between(target.wxyz, wanted.wxyz))
-            < CAUGHT_UP_RAD + np.linalg.norm(target.angular_velocity_rad_s) / GAIN_PER_S
+            length(wanted.position_m - target.position_m)
+            < CAUGHT_UP_M + length(target.velocity_m_s) / GAIN_PER_S
+            and length(rotation_between(target.wxyz, wanted.wxyz))
+            < CAUGHT_UP_RAD + length(target.angular_velocity_rad_s) / GAIN_PER_S
         ):
             self._behind = False
         return target, CATCHING_UP if self._behind and state == VALID else state
@@ -128,10 +129,10 @@ def _keeps(
     dt: float,
 ) -> bool:
     """Whether the input is where a motion within the caps could be: velocity within reach, position in keeping with it."""
-    return bool(
-        np.linalg.norm(wanted) <= speed * _ROUNDING
-        and np.linalg.norm(wanted - last) <= acceleration * dt * _ROUNDING
-        and np.linalg.norm(away - dt * wanted) <= acceleration * dt * dt * _ROUNDING
+    return (
+        length(wanted) <= speed * _ROUNDING
+        and length(wanted - last) <= acceleration * dt * _ROUNDING
+        and length(away - dt * wanted) <= acceleration * dt * dt * _ROUNDING
     )
 
 
@@ -144,13 +145,13 @@ def _slew(
     dt: float,
 ) -> NDArray[np.float64]:
     """Velocity towards the input within both caps."""
-    distance = float(np.linalg.norm(away))
+    distance = length(away)
     # Braking is planned at half the cap, so that the other half can follow an input that moves.
-    rate = GAIN_PER_S if distance == 0.0 else min(GAIN_PER_S, np.sqrt(acceleration / distance))
+    rate = GAIN_PER_S if distance == 0.0 else min(GAIN_PER_S, math.sqrt(acceleration / distance))
     velocity = _at_most(wanted + rate * away, speed)
     return _at_most(last + _at_most(velocity - last, acceleration * dt), speed)
 
 
-def _at_most(vector: NDArray[np.float64], length: float) -> NDArray[np.float64]:
-    norm = float(np.linalg.norm(vector))
-    return vector if norm <= length else vector * (length / norm)
+def _at_most(vector: NDArray[np.float64], most: float) -> NDArray[np.float64]:
+    norm = length(vector)
+    return vector if norm <= most else vector * (most / norm)
