@@ -108,10 +108,10 @@ def test_a_state_that_is_not_finite_ends_the_run_with_its_tick(tmp_path, monkeyp
     """The plant breaks at tick 50: the run stops, says where, and the 50 ticks before are readable."""
     real = runner._step_kinematic
 
-    def breaking(cell, controller, data):
+    def breaking(cell, plant, controller, data):
         if controller.tick == 50:
             data.qpos[1] = np.nan
-        real(cell, controller, data)
+        real(cell, plant, controller, data)
 
     monkeypatch.setattr(runner, "_step_kinematic", breaking)
     summary = run(tmp_path, *SHORT)

@@ -36,6 +36,12 @@ class Measurement:
         self._gaps = np.random.default_rng(gaps)
         self._under_way: deque[Sample] = deque(maxlen=simulation.latency_ticks + 1)
         self._arrived: Sample | None = None
+        self._undisturbed = not (
+            simulation.latency_ticks
+            or simulation.position_noise_rad
+            or simulation.velocity_noise_rad_s
+            or simulation.dropped_fraction
+        )
 
     def read(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> Sample:
         """One tick: the true state in, the sample the controller gets out.
@@ -49,6 +55,8 @@ class Measurement:
             has the state of the first tick: arms are known before they are switched on.
         """
         settings = self._settings
+        if self._undisturbed:
+            return np.array(qpos), np.array(qvel)
         self._under_way.append(
             (
                 qpos + settings.position_noise_rad * self._noise.standard_normal(len(qpos)),

@@ -10,6 +10,7 @@ give the same trace.
 
 from __future__ import annotations
 
+import copy
 import json
 import platform
 from collections.abc import Callable, Iterator
@@ -140,7 +141,8 @@ def simulate(
             change, and the controller, to which it may offer samples and changes; True ends the run.
     """
     scenario = cell.scenario
-    data = mujoco.MjData(cell.model)
+    plant = _without_sensors(cell.model)
+    data = mujoco.MjData(plant)
     cell.place_home(data)
     step = _step_kinematic if scenario.simulation.plant == "kinematic" else _step_dynamic
     fault, interrupted = None, False
@@ -153,7 +155,7 @@ def simulate(
             for tick in range(scenario.ticks):
                 if watch and watch(tick, data, controller):
                     break
-                step(cell, controller, data)
+                step(cell, plant, controller, data)
                 trace.append(controller.record)
                 if progress and tick % 250 == 0:
                     progress(tick, scenario.ticks)
@@ -363,18 +365,29 @@ def installed(
         mujoco.set_mjcb_control(None)
 
 
-def _step_dynamic(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
+def _without_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The plant: the same model, which moves the same. Witness points are the controller's to find, on its own data."""
+    plant = copy.copy(model)
+    plant.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+    return plant
+
+
+def _step_dynamic(
+    cell: Cell, plant: mujoco.MjModel, controller: Controller, data: mujoco.MjData
+) -> None:
     """One control period of MuJoCo's dynamics; the callback fires inside."""
     _carry(cell, controller, data)
-    mujoco.mj_step(cell.model, data)
+    mujoco.mj_step(plant, data)
 
 
-def _step_kinematic(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
+def _step_kinematic(
+    cell: Cell, plant: mujoco.MjModel, controller: Controller, data: mujoco.MjData
+) -> None:
     """One control period in which every joint does exactly what it was commanded."""
     _carry(cell, controller, data)
-    mujoco.mj_forward(cell.model, data)
+    mujoco.mj_forward(plant, data)
     data.qvel[:] = controller.record.command_rad_s
-    mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), cell.period_s)
+    mujoco.mj_integratePos(plant, data.qpos, np.asarray(data.qvel), cell.period_s)
     data.time += cell.period_s
 
 

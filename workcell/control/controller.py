@@ -150,8 +150,9 @@ class Controller:
         self, data: mujoco.MjData, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
     ) -> None:
         self.step(qpos, qvel)
+        encoders = np.asarray(data.qpos)
         for arm in self._arms:
-            if arm.servo.write(data, np.asarray(data.qpos)[arm.handles.qpos], arm.command_rad_s):
+            if arm.servo.write(data, encoders[arm.handles.qpos], arm.command_rad_s):
                 record = self.record.arms[arm.handles.name]
                 record.reason = record.reason or "servo_lag"
 

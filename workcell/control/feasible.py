@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mink
 import numpy as np
@@ -21,7 +22,7 @@ from workcell.control.ik import ArmIk, ToolTask
 from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
 from workcell.motion.operator import make_operator, path_through
-from workcell.motion.path import Target, standing
+from workcell.motion.path import PathGeometry, Target, standing
 from workcell.scene.cell import Cell
 from workcell.scene.handles import ArmHandles
 
@@ -45,26 +46,28 @@ def check(cell: Cell) -> None:
         InputError: every fault found, naming arm, job, the length along its path and the remaining error.
     """
     faults: list[str] = []
+    belief = mink.Configuration(cell.model)
     for arm, handles in zip(cell.scenario.arm, cell.arms, strict=True):
-        unreached = list(_out_of_reach(cell, arm, handles))
+        unreached = list(_out_of_reach(cell, arm, handles, belief))
         # Where a path cannot be followed at all, no speed is worth a word.
         faults += unreached or _too_fast(cell, arm, handles)
         if arm.job:
-            faults += _no_room_to_brake(cell, arm, handles)
+            faults += _no_room_to_brake(cell, arm, handles, belief)
     if faults:
         raise InputError(faults, file=cell.scenario.file)
 
 
-def _out_of_reach(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
+def _out_of_reach(
+    cell: Cell, arm: scenario.Arm, handles: ArmHandles, belief: mink.Configuration
+) -> Iterator[str]:
     """Follow the arm's waypoints from its home configuration, joint limits kept."""
-    belief = mink.Configuration(cell.model)
     cell.place_home(belief.data)
     belief.update()
     task = ToolTask(handles.tool_site_name, gain_per_s=1.0, dt_s=1.0)
     pose = belief.get_transform_frame_to_world(handles.tool_site_name, "site")
     position, wxyz = pose.translation(), pose.rotation().wxyz
     for key, waypoints in _waypoint_lists(arm):
-        geometry = path_through(waypoints, position, wxyz)
+        geometry = _curve(waypoints, tuple(position), tuple(wxyz))
         for s_m in np.linspace(0.0, geometry.length_m, 2 + int(geometry.length_m / _STEP_M)):
             error = _move_to(belief, task, handles, standing(*geometry.pose(s_m)))
             if np.linalg.norm(error[:3]) > REACHED_M or np.linalg.norm(error[3:]) > REACHED_RAD:
@@ -95,8 +98,8 @@ def _move_to(
 ) -> NDArray[np.float64]:
     """Newton steps towards a pose, clipped to the joint ranges; returns the remaining tool error (6,)."""
     task.follow(pose)
+    error = task.compute_error(belief)
     for _ in range(_ITERATIONS):
-        error = task.compute_error(belief)
         if np.abs(error).max() < REACHED_M / 10:
             break
         step = np.linalg.lstsq(task.compute_jacobian(belief)[:, handles.dofs], -error, rcond=1e-3)[
@@ -107,7 +110,18 @@ def _move_to(
             q[handles.qpos] + np.clip(step, -0.2, 0.2), handles.lower_rad, handles.upper_rad
         )
         belief.update(q)
-    return task.compute_error(belief)
+        error = task.compute_error(belief)
+    return error
+
+
+@lru_cache(maxsize=4)
+def _curve(
+    waypoints: tuple[scenario.Waypoint, ...],
+    position_m: tuple[float, ...],
+    wxyz: tuple[float, ...],
+) -> PathGeometry:
+    """`path_through`; an operator's waypoints are asked for twice, for their reach and their length."""
+    return path_through(waypoints, np.array(position_m), np.array(wxyz))
 
 
 def _too_fast(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
@@ -184,14 +198,16 @@ def _duration_s(
     operator: scenario.Waypoints, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]
 ) -> float:
     """An upper bound of the time the operator moves: every stretch at its speed, and one ramp up and down each."""
-    waypoints = path_through(operator.waypoints, position_m, wxyz).length_m
+    waypoints = _curve(operator.waypoints, tuple(position_m), tuple(wxyz)).length_m
     # A smooth step loses 1.5 v / a to its two ramps.
     ramps_s = 1.5 * operator.speed_m_s / operator.acceleration_m_s2
     stretch_s = waypoints / operator.speed_m_s + ramps_s + operator.pause_s
     return (1 + operator.repeat) * stretch_s
 
 
-def _no_room_to_brake(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
+def _no_room_to_brake(
+    cell: Cell, arm: scenario.Arm, handles: ArmHandles, belief: mink.Configuration
+) -> Iterator[str]:
     control = cell.scenario.control
     speed = max(
         (job.speed_m_s for job in arm.job if not isinstance(job, scenario.Wait)), default=0.0
@@ -203,7 +219,7 @@ def _no_room_to_brake(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Ite
     needed = smallest_t_min(
         cell.period_s + control.reaction_s,
         speed,
-        braking_deceleration_m_s2(cell, handles),
+        braking_deceleration_m_s2(cell, handles, belief),
         other_keeps_coming=others_move,
     )
     if control.t_min_s < needed:
@@ -213,9 +229,8 @@ def _no_room_to_brake(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Ite
         )
 
 
-def braking_deceleration_m_s2(cell: Cell, handles: ArmHandles) -> float:
+def braking_deceleration_m_s2(cell: Cell, handles: ArmHandles, belief: mink.Configuration) -> float:
     """Deceleration of the tool along its path that the joints can give in the least favourable of the six axis directions, at home."""
-    belief = mink.Configuration(cell.model)
     cell.place_home(belief.data)
     belief.update()
     jacobian = belief.get_frame_jacobian(handles.tool_site_name, "site")[:3, handles.dofs]

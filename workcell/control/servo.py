@@ -25,6 +25,7 @@ class ServoCommand:
         self._arm = arm
         self._dt_s = dt_s
         self._position = np.array([servo.kind == "position" for servo in arm.servos])
+        self._all_position = bool(self._position.all())
         self._lead_s = np.array([servo.lead_s for servo in arm.servos])
         self._actuators = np.array([servo.actuator for servo in arm.servos], dtype=np.intp)
         self._reference: NDArray[np.float64] | None = None
@@ -44,10 +45,13 @@ class ServoCommand:
         """
         if self._reference is None:
             self._reference = q_rad.copy()
-        wanted = self._reference + command_rad_s * self._dt_s
-        self._reference = np.clip(wanted, q_rad - LARGEST_LAG_RAD, q_rad + LARGEST_LAG_RAD)
-        lost = self._position & (self._reference != wanted)
-        data.ctrl[self._actuators] = np.where(
-            self._position, self._reference + self._lead_s * command_rad_s, command_rad_s
+        wanted = self._reference = self._reference + command_rad_s * self._dt_s
+        lost = False
+        if not np.abs(wanted - q_rad).max() < LARGEST_LAG_RAD:
+            self._reference = np.clip(wanted, q_rad - LARGEST_LAG_RAD, q_rad + LARGEST_LAG_RAD)
+            lost = bool((self._position & (self._reference != wanted)).any())
+        led = self._reference + self._lead_s * command_rad_s
+        data.ctrl[self._actuators] = (
+            led if self._all_position else np.where(self._position, led, command_rad_s)
         )
-        return bool(lost.any())
+        return lost
