@@ -195,6 +195,38 @@ def test_a_configuration_that_is_no_number_has_no_distance_and_leaves_nothing_be
         assert found.pair is None
 
 
+@settings(max_examples=60, deadline=None)
+@given(seed=strategies.integers(0, 2**32 - 1))
+def test_no_point_of_a_body_moves_farther_than_its_travel_says(everything: Everything, seed: int):
+    model, rng = everything.model, np.random.default_rng(seed)
+    search = NearestSearch(
+        model, everything.geometry, everything.table.watched, ceiling_m=CEILING_M
+    )
+    solids = [p for p in everything.geometry.pieces if p.name != "floor"]
+    # The corners of the pieces' own boxes; a box is as large as that.
+    corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+
+    def points(data: mujoco.MjData, geom: int) -> NDArray[np.float64]:
+        box = model.geom_aabb[geom]
+        local = box[:3] + corners * box[3:]
+        return data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T
+
+    data = mujoco.MjData(model)
+    poses = [
+        random_pose(rng) + step for step in (0.0, rng.normal(size=10) * 10.0 ** -rng.integers(6))
+    ]
+    places = []
+    for arms in poses:
+        data.qpos[:] = np.concatenate([arms, [0.0, 0.0, 0.4, 1.0, 0.0, 0.0, 0.0]])
+        mujoco.mj_kinematics(model, data)
+        search.place(np.array(data.qpos))
+        places.append(([points(data, p.geom) for p in solids], search._travel_m.copy()))
+    (before, start_m), (after, end_m) = places
+    for piece, old, new in zip(solids, before, after, strict=True):
+        moved_m = np.linalg.norm(new - old, axis=1).max()
+        assert moved_m <= (end_m - start_m)[piece.body]
+
+
 def test_bounds_are_kept_so_that_a_standstill_costs_what_is_near(everything: Everything):
     table = everything.table
     search = NearestSearch(

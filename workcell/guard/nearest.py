@@ -26,6 +26,7 @@ the tolerance of a measurement (`CCD_TOLERANCE_M`), any of them may be named.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -48,12 +49,14 @@ BOUND_SLACK_M = 1e-9
 MAX_TRAVEL_M = 1e4
 # When bounds are made anew, those of every block within this of the smallest distance are, m: a
 # batch costs nearly the same whatever its size, and what is near will be wanted soon. Chosen by
-# trial on recorded runs, as are the next two; none of them changes an answer.
+# trial on recorded runs, as are the next five; none of them changes an answer.
 AHEAD_M = 0.03
-# Pairs whose spheres are within this of the smallest distance get the better bound of boxes, m.
+# Pairs whose spheres are within this of the smallest distance get the better bound of boxes, m, and
+# of those that then still are, and of all in blocks of FEW_PAIRS, each one's bound is kept.
 REFINE_M = 0.1
+FEW_PAIRS = 24
 # As many measurements more than fresh bounds would have asked for cost about as much as a batch.
-BATCH_WORTH = 40
+BATCH_WORTH = 60
 # From so many blocks on, spheres around whole bodies are worth a look first.
 MANY_BLOCKS = 40
 
@@ -126,17 +129,17 @@ class NearestSearch:
         mujoco.mj_kinematics(model, self._data)
         self._corners = self._body_rotation @ self._corners_local + self._body_position
         self._travel_m = np.zeros(model.nbody)
-        self._pairs = _Pairs.of(watched, bodies, self._geoms)
+        self._pairs = _Pairs.of(watched, bodies)
+        self._geom_i: list[int] = self._geoms[self._pairs.i].tolist()
+        self._geom_j: list[int] = self._geoms[self._pairs.j].tolist()
         self._reach_m = self._radius_m[self._pairs.i] + self._radius_m[self._pairs.j]
         self._reach_m += BOUND_SLACK_M
         blocks = len(self._pairs.first)
-        # Bounds plus the travels of both bodies when they were made: of every block the least, and
-        # of its pairs in rising order with their rows.
+        # Bounds plus the travels of both bodies when they were made: of every block the least; of
+        # its nearer pairs each, in rising order, with their rows; and the least of the others.
         self._kept_m = np.full(blocks, -np.inf)
-        self._sorted: list[tuple[list[float], list[int]]] = [([], [])] * blocks
-        # Whether the pairs of a block have bounds of their own.
-        self._made = [False] * blocks
-        self._forget()
+        self._near: list[tuple[list[float], list[int]]] = [([], [])] * blocks
+        self._others_m = [-math.inf] * blocks
         # What follows from the configuration.
         self._travelled_m = np.zeros(blocks)
         self._bounds_m = self._kept_m.copy()
@@ -153,7 +156,7 @@ class NearestSearch:
         corners += self._body_position
         moved = corners - self._corners
         self._corners = corners
-        self._travel_m += np.sqrt(np.einsum("bxc,bxc->bc", moved, moved).max(axis=1))
+        self._travel_m += np.sqrt(np.einsum("bxc,bxc->cb", moved, moved).max(axis=0))
         self._travel_m += BOUND_SLACK_M
         self._lost = False
         # Written so that what is not a number is not below either.
@@ -185,22 +188,25 @@ class NearestSearch:
         if group.last >= 0:
             self._measure(group.last, best)
         blocks = self._below(group, best.distance_m)
-        expected = best.measured + self._candidates(blocks, best.distance_m)
-        group.waste += max(expected - group.usual, 0)
-        worn = group.waste > BATCH_WORTH
-        if blocks and (worn or not all(map(self._made.__getitem__, blocks))):
-            self._renew(group, self._below(group, best.distance_m + AHEAD_M), best)
-            blocks = self._below(group, best.distance_m)
-            group.waste = 0
-            group.usual = 1 + self._candidates(blocks, best.distance_m)
+        if blocks:
+            expected = self._candidates(blocks, best.distance_m)
+            group.waste += max(expected - group.usual, 0)
+            if group.waste > BATCH_WORTH:
+                self._renew(group, self._below(group, best.distance_m + AHEAD_M), best)
+                blocks = self._below(group, best.distance_m)
+                group.waste, group.usual = 0, self._candidates(blocks, best.distance_m)
         # What is nearest is likely in the block of the lowest bound.
         for block in sorted(blocks, key=self._bounds_m.__getitem__):
             travelled_m = float(self._travelled_m[block])
-            for kept_m, row in zip(*self._sorted[block], strict=True):
+            for kept_m, row in zip(*self._near[block], strict=True):
                 if kept_m - travelled_m >= best.distance_m:
                     break
                 if group.counts[row]:
                     self._measure(row, best)
+            if self._others_m[block] - travelled_m < best.distance_m:
+                for row in self._pairs.rows[block]:
+                    if group.counts[row]:
+                        self._measure(row, best)
         if best.row < 0:
             return Nearest(best.distance_m, None, best.measured)
         group.last = self._recent = best.row
@@ -214,24 +220,28 @@ class NearestSearch:
         return group.blocks[self._bounds_m.take(group.blocks) < limit_m].tolist()
 
     def _candidates(self, blocks: list[int], limit_m: float) -> int:
-        """How many pairs of some blocks have a lower bound below a limit."""
-        return sum(
-            bisect_left(self._sorted[block][0], limit_m + float(self._travelled_m[block]))
-            for block in blocks
-        )
+        """How many pairs of some blocks would be measured below a limit."""
+        count = 0
+        for block in blocks:
+            kept_m = limit_m + float(self._travelled_m[block])
+            count += bisect_left(self._near[block][0], kept_m)
+            if self._others_m[block] < kept_m:
+                count += len(self._pairs.rows[block])
+        return count
 
     def _measure(self, row: int, best: _Best) -> None:
+        limit_m = best.distance_m
         distance_m = mujoco.mj_geomDistance(
             self._model,
             self._data,
-            self._pairs.geom_i[row],
-            self._pairs.geom_j[row],
+            self._geom_i[row],
+            self._geom_j[row],
             # Asked for a limit below zero MuJoCo would not resolve how deep a contact is.
-            max(best.distance_m, CCD_TOLERANCE_M),
+            limit_m if limit_m > CCD_TOLERANCE_M else CCD_TOLERANCE_M,
             None,
         )
         best.measured += 1
-        if distance_m < best.distance_m:
+        if distance_m < limit_m:
             best.distance_m, best.row = distance_m, row
 
     def _renew(self, group: _Group, blocks: list[int], best: _Best) -> None:
@@ -246,23 +256,33 @@ class NearestSearch:
         ends = counts.cumsum()
         starts = ends - counts
         rows = np.repeat(pairs.first[chosen] - starts, counts) + np.arange(ends[-1])
-        i, j = pairs.i[rows], pairs.j[rows]
+        i, j = pairs.i.take(rows), pairs.j.take(rows)
         centre = self._centres()
         bounds = self._sphere_bounds(centre, i, j) - self._reach_m[rows]
         guess = int(np.where(group.mask[rows], bounds, np.inf).argmin())
         if bounds[guess] < best.distance_m:
             self._measure(int(rows[guess]), best)
-        near = np.flatnonzero(bounds < best.distance_m + REFINE_M)
-        bounds[near] = np.maximum(bounds[near], self._box_bounds(centre, i[near], j[near]))
+        limit_m = max(best.distance_m, 0.0) + REFINE_M
+        near = np.flatnonzero(bounds < limit_m)
+        for spheres, boxes in ((i, j), (j, i)):
+            better = self._box_bounds(centre, spheres[near], boxes[near])
+            bounds[near] = better = np.maximum(bounds[near], better)
+            near = near[better < limit_m]
         travelled = self._travelled_m[chosen]
         kept = np.where(bounds > 0.0, bounds + np.repeat(travelled, counts), -np.inf)
         self._kept_m[chosen] = np.minimum.reduceat(kept, starts)
         self._bounds_m[chosen] = self._kept_m[chosen] - travelled
-        order = np.lexsort((kept, np.repeat(starts, counts)))
-        sorted_m, sorted_rows = kept[order].tolist(), rows[order].tolist()
-        for block, start, end in zip(chosen.tolist(), starts.tolist(), ends.tolist(), strict=True):
-            self._sorted[block] = sorted_m[start:end], sorted_rows[start:end]
-            self._made[block] = True
+        of_block = np.repeat(np.arange(len(chosen)), counts)
+        is_near = (bounds < limit_m) | (counts <= FEW_PAIRS)[of_block]
+        others = np.minimum.reduceat(np.where(is_near, np.inf, kept), starts).tolist()
+        near = np.flatnonzero(is_near)
+        near = near[np.lexsort((kept[near], of_block[near]))]
+        near_m, near_rows = kept[near].tolist(), rows[near].tolist()
+        cuts = np.searchsorted(of_block[near], np.arange(len(chosen) + 1)).tolist()
+        for k, block in enumerate(chosen.tolist()):
+            part = slice(cuts[k], cuts[k + 1])
+            self._near[block] = near_m[part], near_rows[part]
+            self._others_m[block] = others[k]
 
     def _not_apart(self, blocks: NDArray[np.int64], limit_m: float) -> NDArray[np.int64]:
         """Those of some blocks that spheres around the two bodies do not show to be beyond a limit."""
@@ -282,11 +302,8 @@ class NearestSearch:
         """Drops every kept bound: afterwards none says more than that anything may be anywhere."""
         self._travel_m[:] = 0.0
         self._kept_m[:] = -np.inf
-        for block, (first, count) in enumerate(
-            zip(self._pairs.first.tolist(), self._pairs.count.tolist(), strict=True)
-        ):
-            self._sorted[block] = [-np.inf] * count, list(range(first, first + count))
-            self._made[block] = False
+        self._near = [([], [])] * len(self._near)
+        self._others_m = [-math.inf] * len(self._others_m)
 
     def _group(self, mask: NDArray[np.bool_]) -> _Group:
         if (mask & ~self._watched).any():
@@ -325,20 +342,20 @@ class NearestSearch:
         return distance
 
     def _box_bounds(
-        self, centre: NDArray[np.float64], i: NDArray[np.int64], j: NDArray[np.int64]
+        self, centre: NDArray[np.float64], spheres: NDArray[np.int64], boxes: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Lower bounds from the sphere of one piece and the oriented box of the other, both ways, m."""
-        spheres, boxes = np.concatenate([i, j]), np.concatenate([j, i])
-        offset = centre[spheres] - centre[boxes]
-        local = np.einsum("nx,nxy->ny", offset, self._geom_rotation[self._geoms[boxes]])
-        outside = np.maximum(np.abs(local) - self._half_m[boxes], 0.0)
+        """Lower bounds (pairs,) from the sphere of one piece and the oriented box of the other, m."""
+        offset = centre.take(spheres, axis=0)
+        offset -= centre.take(boxes, axis=0)
+        rotation = self._geom_rotation.take(self._geoms.take(boxes), axis=0)
+        local = np.einsum("nx,nxy->ny", offset, rotation)
+        outside = np.maximum(np.abs(local) - self._half_m.take(boxes, axis=0), 0.0)
         gap = np.sqrt(np.einsum("nx,nx->n", outside, outside))
         # Inside the box the gap says nothing about depth; a plane has no box.
         known = gap > 0.0
         if self._any_plane:
             known &= ~(self._planes[spheres] | self._planes[boxes])
-        bounds = np.where(known, gap - self._radius_m[spheres] - BOUND_SLACK_M, -np.inf)
-        return np.maximum(bounds[: len(i)], bounds[len(i) :])
+        return np.where(known, gap - self._radius_m[spheres] - BOUND_SLACK_M, -np.inf)
 
     def _boxes_around(self, bodies: NDArray[np.int64]) -> NDArray[np.float64]:
         """(bodies, 3, 8) corners of a box around the pieces of each body, in the body's frame, m.
@@ -367,10 +384,8 @@ class _Pairs:
     """(rows,) smaller piece index."""
     j: NDArray[np.int64]
     """(rows,) larger piece index."""
-    geom_i: list[int]
-    """(rows,) geom of the one piece."""
-    geom_j: list[int]
-    """(rows,) geom of the other."""
+    rows: list[range]
+    """(blocks,) the rows of each."""
     first: NDArray[np.int64]
     """(blocks,) first row."""
     count: NDArray[np.int64]
@@ -381,9 +396,7 @@ class _Pairs:
     """(blocks,) body of the pieces j."""
 
     @classmethod
-    def of(
-        cls, watched: NDArray[np.bool_], bodies: NDArray[np.int64], geoms: NDArray[np.int64]
-    ) -> _Pairs:
+    def of(cls, watched: NDArray[np.bool_], bodies: NDArray[np.int64]) -> _Pairs:
         i, j = np.nonzero(np.triu(watched, 1))
         order = np.lexsort((bodies[j], bodies[i]))
         i, j = i[order], j[order]
@@ -392,8 +405,7 @@ class _Pairs:
         return cls(
             i=i,
             j=j,
-            geom_i=geoms[i].tolist(),
-            geom_j=geoms[j].tolist(),
+            rows=[range(k, k + n) for k, n in zip(first.tolist(), count.tolist(), strict=True)],
             first=first,
             count=count,
             body_i=blocks[:, 0].copy(),
@@ -419,7 +431,7 @@ class _Group:
     """How many were needed then."""
 
 
-@dataclass
+@dataclass(slots=True)
 class _Best:
     """The nearest pair so far of one search."""
 
