@@ -553,9 +553,11 @@ class Controller:
 
     def _judge(self, record: TickRecord) -> None:
         for arm in self._arms:
-            self._finite(arm.command_rad_s, f"the command of arm {arm.handles.name}")
             record.wanted_rad_s[arm.columns] = arm.wanted_rad_s
             record.command_rad_s[arm.columns] = arm.command_rad_s
+        if not all_finite(record.command_rad_s):
+            for arm in self._arms:
+                self._finite(arm.command_rad_s, f"the command of arm {arm.handles.name}")
         rates = self._watched.rates(record.command_rad_s)
         record.ttc_command_s = _or_none(rates.first.ttc_s)
         record.ttc_command_pair = None if rates.first.pair < 0 else rates.first.pair
@@ -722,4 +724,4 @@ def _preferring(push: NDArray[np.float64]) -> NullspaceObjective:
 
 
 def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+    return value if math.isfinite(value) else None

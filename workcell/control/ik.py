@@ -553,6 +553,7 @@ class CompiledIk:
         self._position, self._wxyz = kept["position"], kept["wxyz"]
         self._velocity, self._turn = kept["velocity"], kept["turn"]
         self._settings, self._free = kept["settings"], kept["free"]
+        self._asked: tuple[float, ...] = ()
         self._whole, self._path = kept["whole"], kept["path"]
         self.tool_error = kept["error"].tolist
         """Distance to the target and angle, m and rad, of the last `aim`."""
@@ -587,8 +588,11 @@ class CompiledIk:
         self._position[...], self._wxyz[...] = target.position_m, target.wxyz
         self._velocity[...] = target.velocity_m_s
         self._turn[...] = target.angular_velocity_rad_s
-        self._settings[...] = gain, dt_s, catch_up_m_s, TURN_LENGTH_M_PER_RAD
-        self._free[0] = free_rotation
+        asked = gain, dt_s, catch_up_m_s, free_rotation
+        if asked != self._asked:
+            self._asked = asked
+            self._settings[...] = gain, dt_s, catch_up_m_s, TURN_LENGTH_M_PER_RAD
+            self._free[0] = free_rotation
         self._aim.run()
         if self._aim.done() != DONE:
             return None
