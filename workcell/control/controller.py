@@ -44,6 +44,7 @@ from workcell.motion.path import standing
 from workcell.motion.wish import Operator
 from workcell.scenario import Control
 from workcell.scene.cell import Cell
+from workcell.scene.handles import InstrumentHandles
 
 SELF_MOTION_RAD_S = 0.01
 """Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
@@ -87,6 +88,7 @@ class Controller:
         )
         self.grasps = Grasps(cell, self._belief.data)
         self._arms = [ControlledArm(cell, handles, self._belief) for handles in cell.arms]
+        self._base_position_m = {arm.handles.name: arm.base_position_m for arm in self._arms}
         self._priority = [arm for arm in self._arms if not arm.support]
         self._support = sorted(
             (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
@@ -343,7 +345,8 @@ class Controller:
     def _advance(self, arm: ControlledArm, jobs: JobSequence, record: TickRecord) -> None:
         """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
         around = self._around(arm, record)
-        off_path = math.dist(record.arms[arm.handles.name].tool_position_m, arm.target.position_m)
+        tool = record.arms[arm.handles.name].tool_position_m
+        off_path = math.dist(tool.tolist(), arm.target.position_m.tolist())
         arm.held = off_path > REJOIN_M and arm.factor > 0.0 and not jobs.retreats
         jobs.advance(self._dt, 0.0 if arm.paused or arm.held else arm.factor, around)
         if self._settings.entry:
@@ -358,21 +361,20 @@ class Controller:
             self._share_pairs()
 
     def _around(self, arm: ControlledArm, record: TickRecord) -> Surroundings:
-        data = self._belief.data
-        instruments = {}
-        for item in self.cell.instruments:
-            axis = item.half_length_m * data.xmat[item.body].reshape(3, 3)[:, 2]
-            instruments[item.name] = Instrument(
-                data.xpos[item.body].copy(),
-                axis,
-                self.cell.model.body_pos[item.body],
-                self.grasps.holder(item.name),
-            )
         return Surroundings(
             tool_position_m={name: row.tool_position_m for name, row in record.arms.items()},
-            base_position_m={other.handles.name: other.base_position_m for other in self._arms},
-            instruments=instruments,
+            base_position_m=self._base_position_m,
+            instruments={item.name: self._instrument(item) for item in self.cell.instruments},
             meeting_distance_m=self._meeting_distance_m(arm),
+        )
+
+    def _instrument(self, item: InstrumentHandles) -> Instrument:
+        data = self._belief.data
+        return Instrument(
+            data.xpos[item.body].copy(),
+            item.half_length_m * data.xmat[item.body, 2::3],
+            self.cell.model.body_pos[item.body],
+            self.grasps.holder(item.name),
         )
 
     def _plan(self) -> None:
