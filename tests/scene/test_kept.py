@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from tests.scene.test_handles import own_model
 from workcell import assets, scenario
 from workcell.errors import InputError
 from workcell.scene import cell as scene
-from workcell.scene import compose
+from workcell.scene import compose, pairs
 from workcell.scene.handles import arm_handles, instrument_handles
 from workcell.scene.pairs import APART_M, FEW_SAMPLES, SAMPLES
 
@@ -102,10 +103,10 @@ def test_and_any_numbers(tmp_path, boxes, rods, base, angle):
     ]
     asked = cells.load(tmp_path, content)
     composed = compose.compose(asked)
-    pairs = (("surgeon/link3_capsule", "floor"), ("floor", "nurse/link3_capsule"))
-    compose.add_sensors(composed, pairs, 100)
+    watched = (("surgeon/link3_capsule", "floor"), ("floor", "nurse/link3_capsule"))
+    compose.add_sensors(composed, watched, 100)
     text = etree.tostring(composed.tree, pretty_print=True, encoding="unicode")
-    assert text == plain.scene_xml(asked, pairs)
+    assert text == plain.scene_xml(asked, watched)
 
 
 @pytest.mark.parametrize("file", ["own.xml", "parts/more.xml", "shapes/tip.obj"])
@@ -172,6 +173,26 @@ def test_what_is_kept_is_bounded(tmp_path):
         cells.build(tmp_path, own_model(tmp_path, {"372": str(372 + k)}))
     for kept in (compose._read, compose._skeleton):
         assert kept.cache_info().currsize <= compose._KEPT
+    assert len(pairs._self_extremes) <= pairs._KEPT
+
+
+def test_self_pairs_do_not_depend_on_what_was_prepared_before(tmp_path):
+    """Where the arms stood then, and their homes, leave no trace."""
+    content = mixed("pa10", "planar3")
+    moved = copy.deepcopy(content)
+    moved["arm"][0] |= {"base_position_m": [0.3, -0.1, 0.2], "base_wxyz": [0.6, 0.0, 0.0, 0.8]}
+    # The folded arm is so near itself at home that fewer of its pairs stay apart.
+    moved["arm"][0]["home_rad"] = [0.0, 1.5, 0.0, 2.39, 0.0, 1.8, 0.0]
+    alone = {}
+    for name, asked in (("first", content), ("moved", moved)):
+        pairs._self_extremes.clear()
+        alone[name] = cells.build(tmp_path / name, asked).pairs
+    assert alone["first"].omitted != alone["moved"].omitted
+    assert len(pairs._self_extremes) == 1
+    for name, asked in (("first", content), ("moved", moved)):
+        after = cells.build(tmp_path / name, asked).pairs
+        assert (after.names, after.omitted) == (alone[name].names, alone[name].omitted)
+    assert len(pairs._self_extremes) == 1
 
 
 def test_what_is_resolved_in_the_preview_holds_in_the_scene(tmp_path):

@@ -84,7 +84,7 @@ def build(scenario: Scenario, folder: Path) -> Cell:
     bare = compose.preview(composed)
     # Sensors come last and change no number, so that what was resolved without them holds.
     arms, instruments = arm_handles(bare, scenario), instrument_handles(bare, scenario)
-    pairs = watched_pairs(bare, arms, instruments)
+    pairs = watched_pairs(bare, arms, instruments, arms_digest=composed.arms_digest)
     compose.add_sensors(composed, pairs.names, SENSOR_CUTOFF_M)
     model = compose.export(composed, folder)
     return Cell(

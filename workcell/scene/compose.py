@@ -17,10 +17,11 @@ a copy of it: copies of the patterns, and numbers written as dm_control writes t
 from __future__ import annotations
 
 import copy
+import hashlib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,8 @@ class Scene:
     """Its MJCF tree."""
     assets: dict[str, bytes]
     """Content of the files it names, by name."""
+    arms_digest: str
+    """SHA-256 of names and files of its arms: equal in all scenes of the same arms, wherever these stand."""
 
 
 def compose(scenario: Scenario) -> Scene:
@@ -84,7 +87,7 @@ def compose(scenario: Scenario) -> Scene:
         _set(_child(world, "body", f"{arm.name}/"), pos=arm.base_position_m, quat=arm.base_wxyz)
     _replace(_child(world, "geom", _OBSTACLE.name), _obstacle, scenario.obstacle)
     _replace(_child(world, "body", _INSTRUMENT.name), _instrument, scenario.instrument)
-    return Scene(tree, skeleton.assets)
+    return replace(skeleton, tree=tree)
 
 
 @lru_cache(maxsize=_KEPT)
@@ -171,7 +174,8 @@ def _skeleton(period_s: float, names: tuple[str, ...], files: tuple[_ArmFile, ..
     tree = root.to_xml(precision=17)
     sensors = tree.find("sensor")
     sensors.remove(_child(sensors, "fromto", "pair"))
-    return Scene(tree, root.get_assets())
+    arms = "\n".join(f"{name} {file.digest}" for name, file in zip(names, files, strict=True))
+    return Scene(tree, root.get_assets(), hashlib.sha256(arms.encode()).hexdigest())
 
 
 def _add_instrument(root: mjcf.RootElement, instrument: Instrument) -> None:
@@ -291,6 +295,8 @@ class _ArmFile:
     """What was found in an arm file."""
 
     path: Path
+    digest: str
+    """Of its content and of all that it names."""
     joints: tuple[tuple[str | None, str], ...]
     """Name and type of each."""
     sites: tuple[str | None, ...]
@@ -314,6 +320,7 @@ def _read(path: Path, digest: str) -> _ArmFile:
     model = _parse(path)
     return _ArmFile(
         path=path,
+        digest=digest,
         joints=tuple(
             (joint.name, "freejoint" if joint.tag == "freejoint" else joint.type or "hinge")
             for joint in model.find_all("joint")

@@ -11,6 +11,8 @@ and an arm against itself. A pair is left out only for a written reason:
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import mujoco
@@ -27,6 +29,10 @@ SAMPLES = 500
 FEW_SAMPLES = 4
 """What it takes to see whether a distance changes at all: home and three more."""
 _INVARIANT_M = 1e-6
+_KEPT = 8
+"""Sets of arms whose self pairs are remembered; chosen larger than what one study has."""
+_self_extremes: dict[str, list[tuple[float, float]]] = {}
+"""What `_within` found, by the digest of the arms."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +56,16 @@ def watched_pairs(
     model: mujoco.MjModel,
     arms: tuple[ArmHandles, ...],
     instruments: tuple[InstrumentHandles, ...] = (),
+    *,
+    arms_digest: str | None = None,
 ) -> WatchedPairs:
     """Make the list for a compiled scene (sensors not needed).
+
+    Args:
+        model: The scene.
+        arms: All of its arms.
+        instruments: All of its instruments.
+        arms_digest: Equal for the same arms, wherever they stand; what is found of their self pairs is kept by it.
 
     An instrument is watched against every arm and the surroundings all the time; who answers for
     such a pair, and whether it counts at all, depends on who holds it (control/grasp.py).
@@ -71,7 +85,7 @@ def watched_pairs(
     loose, rests = _instrument_pairs(model, arms, instruments, surroundings)
     kept: list[tuple[int, int]] = []
     omitted: list[tuple[str, str, str]] = []
-    for candidate in _sampled(model, arms, candidates):
+    for candidate in _sampled(model, arms, candidates, arms_digest):
         reason = candidate.why_not()
         if reason is None:
             kept.append(candidate.geoms)
@@ -126,11 +140,16 @@ class _Candidate:
 
     @property
     def is_settled(self) -> bool:
-        """Whether no further pose can change the answer or its reason: the distance varies, and nothing else counts any more."""
-        varies = self.joints > 0 and self.farthest_m - self.nearest_m >= _INVARIANT_M
-        return varies and (
-            not self.within or self.joints <= NEIGHBOUR_JOINTS or self.nearest_m <= APART_M
-        )
+        """Whether no further pose can change the answer for a self pair, or its reason."""
+        if self.joints == 0:
+            return True
+        varies = self.farthest_m - self.nearest_m >= _INVARIANT_M
+        return varies and (self.joints <= NEIGHBOUR_JOINTS or self.nearest_m <= APART_M)
+
+    def see(self, *distances_m: float) -> None:
+        """Take distances into account."""
+        self.nearest_m = min(self.nearest_m, *distances_m)
+        self.farthest_m = max(self.farthest_m, *distances_m)
 
     def why_not(self) -> str | None:
         """The reason to leave it out, None if it is watched."""
@@ -155,9 +174,12 @@ def _joints_above(model: mujoco.MjModel, geom: int) -> set[int]:
 
 
 def _sampled(
-    model: mujoco.MjModel, arms: tuple[ArmHandles, ...], pairs: list[tuple[int, int]]
+    model: mujoco.MjModel,
+    arms: tuple[ArmHandles, ...],
+    pairs: list[tuple[int, int]],
+    arms_digest: str | None,
 ) -> list[_Candidate]:
-    """Look at every pair at home and in seeded random poses, until nothing can change the answer.
+    """Look at every pair at home and in seeded random poses.
 
     Only self pairs need many poses; for the rest a few tell whether the distance changes at all.
     """
@@ -166,23 +188,59 @@ def _sampled(
     candidates = [
         _Candidate((g, h), len(above[g] ^ above[h]), owner[g] == owner.get(h)) for g, h in pairs
     ]
-    data = mujoco.MjData(model)
-    addresses = np.concatenate([arm.qpos for arm in arms])
     lower = np.concatenate([arm.lower_rad for arm in arms])
     upper = np.concatenate([arm.upper_rad for arm in arms])
     poses = np.random.default_rng(0).uniform(
         np.where(np.isfinite(lower), lower, -np.pi),
         np.where(np.isfinite(upper), upper, np.pi),
-        (SAMPLES - 1, len(addresses)),
+        (SAMPLES - 1, len(lower)),
     )
-    open_ = candidates
-    for sample, pose in enumerate([np.concatenate([arm.home_rad for arm in arms]), *poses]):
-        if sample >= FEW_SAMPLES:
-            open_ = [pair for pair in open_ if pair.within and not pair.is_settled]
+    home = np.concatenate([arm.home_rad for arm in arms])
+    _look(model, arms, [home, *poses[: FEW_SAMPLES - 1]], candidates)
+    within = [pair for pair in candidates if pair.within]
+    found = _self_extremes.get(arms_digest or "")
+    if found is None:
+        found = _within(model, arms, within, poses)
+        if arms_digest is not None:
+            while len(_self_extremes) >= _KEPT:
+                del _self_extremes[next(iter(_self_extremes))]
+            _self_extremes[arms_digest] = found
+    for pair, extremes in zip(within, found, strict=True):
+        pair.see(*extremes)
+    return candidates
+
+
+def _within(
+    model: mujoco.MjModel,
+    arms: tuple[ArmHandles, ...],
+    pairs: list[_Candidate],
+    poses: NDArray[np.float64],
+) -> list[tuple[float, float]]:
+    """Smallest and largest distance of self pairs over the random poses, as far as these can change an answer.
+
+    The arms stand at the origin, so that not even a last digit depends on where they stand in a scene.
+    """
+    model = copy.copy(model)
+    for arm in arms:
+        base = model.body_rootid[model.geom_bodyid[arm.geoms[0]]]
+        model.body_pos[base], model.body_quat[base] = 0.0, (1.0, 0.0, 0.0, 0.0)
+    afresh = [_Candidate(pair.geoms, pair.joints, within=True) for pair in pairs]
+    _look(model, arms, poses, afresh)
+    return [(pair.nearest_m, pair.farthest_m) for pair in afresh]
+
+
+def _look(
+    model: mujoco.MjModel,
+    arms: tuple[ArmHandles, ...],
+    poses: Iterable[NDArray[np.float64]],
+    pairs: list[_Candidate],
+) -> None:
+    """Measure the pairs in poses, each for as long as that can change the answer."""
+    data = mujoco.MjData(model)
+    addresses = np.concatenate([arm.qpos for arm in arms])
+    for pose in poses:
         data.qpos[addresses] = pose
         mujoco.mj_kinematics(model, data)
-        for pair in open_:
-            distance = mujoco.mj_geomDistance(model, data, *pair.geoms, 100.0, None)
-            pair.nearest_m = min(pair.nearest_m, distance)
-            pair.farthest_m = max(pair.farthest_m, distance)
-    return candidates
+        for pair in pairs:
+            pair.see(mujoco.mj_geomDistance(model, data, *pair.geoms, 100.0, None))
+        pairs = [pair for pair in pairs if not (pair.within and pair.is_settled)]
