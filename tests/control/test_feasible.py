@@ -10,6 +10,7 @@ import pytest
 from tests import cells
 from workcell import run as runner
 from workcell.control import feasible
+from workcell.control.ik import ArmIk
 from workcell.errors import InputError
 from workcell.trace.table import load
 
@@ -32,10 +33,10 @@ def swept(speed_m_s: float, **operator: Any) -> dict[str, Any]:
     return content
 
 
-def lag(folder: Path, content: dict[str, Any]) -> float:
+def lag(folder: Path, content: dict[str, Any], *, quick: bool = False) -> float:
     cell = cells.build(folder, content)
     operator = cell.scenario.arm[0].operator
-    return feasible.largest_lag(cell, cell.arms[0], operator).error_m  # type: ignore[arg-type]
+    return feasible.largest_lag(cell, cell.arms[0], operator, quick=quick).error_m  # type: ignore[arg-type]
 
 
 def test_the_lag_foretold_is_the_one_of_the_run(tmp_path: Path):
@@ -58,3 +59,21 @@ def test_an_operator_too_fast_for_its_joints_is_refused_with_a_speed_that_does(t
     speed = float(message.split(" m/s would do")[0].split()[-1])
     assert speed < 0.6
     feasible.check(cells.build(tmp_path / "slower", swept(speed)))
+
+
+@pytest.mark.parametrize(("speed_m_s", "share"), [(0.1, 0.1), (0.25, 0.5), (0.6, 0.9)])
+def test_the_quick_lag_is_the_lag_with_the_program_solved_where_limits_bind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed_m_s: float, share: float
+):
+    solved = []
+    solve = ArmIk.solve
+
+    def counted(*given: Any) -> Any:
+        solved.append(1)
+        return solve(*given)
+
+    monkeypatch.setattr(ArmIk, "solve", counted)
+    exact = lag(tmp_path, swept(speed_m_s))
+    steps = len(solved)
+    assert lag(tmp_path, swept(speed_m_s), quick=True) == pytest.approx(exact, rel=1e-4)
+    assert len(solved) - steps < share * steps
