@@ -262,7 +262,9 @@ class NearestSearch:
         guess = int(np.where(group.mask[rows], bounds, np.inf).argmin())
         if bounds[guess] < best.distance_m:
             self._measure(int(rows[guess]), best)
-        limit_m = max(best.distance_m, 0.0) + REFINE_M
+        # After a far jump there is much to bound and nothing to be saved by bounding it well.
+        margin_m = REFINE_M if len(chosen) <= MANY_BLOCKS else 0.0
+        limit_m = max(best.distance_m, 0.0) + margin_m
         near = np.flatnonzero(bounds < limit_m)
         for spheres, boxes in ((i, j), (j, i)):
             better = self._box_bounds(centre, spheres[near], boxes[near])
