@@ -41,7 +41,7 @@ from workcell.scene.compose import SCENE_FILE
 from workcell.signals import Layout
 from workcell.trace import metrics
 from workcell.trace.room import check_room, check_writable
-from workcell.trace.table import Trace, TraceWriter, load
+from workcell.trace.table import FLUSH_S, Trace, TraceWriter, load
 
 SCENARIO_FILE = "scenario.toml"
 SUMMARY_FILE = "summary.json"
@@ -130,6 +130,7 @@ def simulate(
     *,
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[int, mujoco.MjData, Controller], bool | None] | None = None,
+    flush_s: float = FLUSH_S,
 ) -> Ending:
     """Step the plant with the controller in its callback; every tick becomes a row of the trace.
 
@@ -139,6 +140,7 @@ def simulate(
         progress: Called with (ticks done, ticks of a full run) now and then.
         watch: Called before every tick with its number, the plant's true state, which it may not
             change, and the controller, to which it may offer samples and changes; True ends the run.
+        flush_s: Simulated time of trace that a kill may cost.
     """
     scenario = cell.scenario
     plant = _without_sensors(cell.model)
@@ -148,7 +150,9 @@ def simulate(
     fault, interrupted = None, False
     with final_check(cell, out) as check, ExitStack() as stack:
         controller = Controller(cell, check=check)
-        trace = stack.enter_context(TraceWriter(out, layout(cell), metadata(cell), cell.period_s))
+        trace = stack.enter_context(
+            TraceWriter(out, layout(cell), metadata(cell), cell.period_s, flush_s=flush_s)
+        )
         measurement = Measurement(scenario.simulation)
         stack.enter_context(installed(controller, measurement, data))
         try:

@@ -33,6 +33,8 @@ IMPASSE_S = 2.0
 than any dwell and than an arm needs to brake and start again."""
 IMPASSE_PROGRESS = 0.02
 """Progress of the path clock below this share of time is none: at full speed 15 cm/s it is 3 mm/s."""
+JOURNAL_S = 10.0
+"""Simulated time between writes of a run's journal: a run that is killed is made again, so nothing is lost by few."""
 AFTER_DONE_S = 1.0
 """Simulated time a run goes on after its last job is done; chosen as the default t_min."""
 SHORT_SHARE = 0.99
@@ -147,7 +149,7 @@ def _outcome(
         judge = ContactJudge(
             cell, folder / runner.SCENE_FOLDER / SCENE_FILE, runner.check_settings(cell)
         )
-        ending = runner.simulate(cell, folder, watch=_Watch(scenario, judge))
+        ending = runner.simulate(cell, folder, watch=_Watch(scenario, judge), flush_s=JOURNAL_S)
     except InputError as error:
         return Outcome(run, setting, "refused", reason="; ".join(error.faults))
     if ending.interrupted:

@@ -37,6 +37,8 @@ JOURNAL_NAME = "trace.arrows"
 
 _LAYOUT_KEYS = ("schema_version", "arms", "joints", "nq", "nv", "pairs")
 
+FLUSH_S = 0.5
+"""Simulated time of rows that are handed on together; what a kill may cost."""
 _ROW_GROUP_ROWS = 8192
 """Rows a parquet row group holds, and a block of a column: chosen so that a conversion needs some ten
 megabytes whatever the length of the run, while columns stay long enough to compress."""
@@ -71,7 +73,7 @@ class TraceWriter:
         metadata: Mapping[str, str],
         period_s: float,
         *,
-        flush_s: float = 0.5,
+        flush_s: float = FLUSH_S,
         flush_wall_s: float | None = None,
     ):
         self.path = Path(folder) / TRACE_NAME
