@@ -59,8 +59,8 @@ def sign_flipped(monkeypatch, duet):
     measure = PairGeometry.measure
     joint = int(np.argmax(np.abs(duet.states.qvel).max(axis=0)))
 
-    def mutant(self, data):
-        found = measure(self, data)
+    def mutant(self, data, **how):
+        found = measure(self, data, **how)
         pair = int(np.argmax(np.abs(found.jacobian[:, joint])))
         jacobian = found.jacobian.copy()
         jacobian[pair, joint] *= -1

@@ -191,7 +191,7 @@ class Controller:
         belief.update(qpos)
         mujoco.mj_comVel(model, belief.data)
         mujoco.mj_sensorPos(model, belief.data)
-        proximity = self._geometry.measure(belief.data)
+        proximity = self._geometry.measure(belief.data, kept=True)
         watched.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
         rates = watched.rates(qvel)
         watched.rate_m_s[...] = rates.rate_m_s
@@ -205,7 +205,7 @@ class Controller:
             time_s=self.tick * self._dt,
             qpos=qpos,
             qvel=qvel,
-            pair_distance_m=proximity.distance_m,
+            pair_distance_m=watched.distance_m.copy(),
             pair_rate_m_s=rates.rate_m_s,
             t_min_s=self._settings.t_min_s,
             criterion=self._settings.criterion,
@@ -213,8 +213,8 @@ class Controller:
             closest_pair=rates.nearest,
             ttc_s=_or_none(first.ttc_s),
             ttc_pair=None if first.pair < 0 else first.pair,
-            witness_i_m=None if shown is None else proximity.surface_i_m[shown],
-            witness_j_m=None if shown is None else proximity.surface_j_m[shown],
+            witness_i_m=None if shown is None else proximity.surface_i_m[shown].copy(),
+            witness_j_m=None if shown is None else proximity.surface_j_m[shown].copy(),
             wanted_rad_s=np.zeros(model.nv),
             command_rad_s=np.zeros(model.nv),
         )

@@ -50,7 +50,7 @@ WAYS = 3
 joint limits let through of that."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Rates:
     """What a joint velocity of the whole cell does to the pairs."""
 
@@ -64,7 +64,7 @@ class Rates:
     """Which arm, by its number, closes the first pair most; None where nothing closes."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Allowance:
     """What pairs and joints leave of the velocity an arm wants."""
 
