@@ -477,7 +477,7 @@ def _muddle(random, watched) -> None:
     watched.rate_m_s[...] = watched.jacobian @ random.normal(0, 0.2, nv)
 
 
-def _agree(mine: share.Rates, theirs: share.Rates, watched) -> None:
+def _agree(mine: share.Rates, theirs: share.Rates) -> None:
     np.testing.assert_allclose(mine.rate_m_s, theirs.rate_m_s, rtol=0, atol=ROUNDING)
     assert mine.nearest == theirs.nearest
     if np.isinf(mine.first.ttc_s) or mine.first.ttc_s == 0.0:
@@ -518,7 +518,8 @@ def test_a_whole_stage_does_what_numpy_says(
     theirs = _in_numpy(arm, controller)
 
     qvel = speed * random.normal(size=cell.model.nv)
-    _agree(watched.rates(qvel), share.Watched.rates(watched, qvel), watched)
+    for accel in (None, random.normal(0, 0.5, len(watched.distance_m))):
+        _agree(watched.rates(qvel, accel), share.Watched.rates(watched, qvel, accel))
     for approaching in (False, True):
         np.testing.assert_allclose(
             mine.surroundings(approaching=approaching),
@@ -580,7 +581,7 @@ def test_stages_agree_on_the_way(tmp_path, name):
         qvel = record.command_rad_s.copy()
         if tick % 20 == 0:
             watched = controller._watched
-            _agree(watched.rates(qvel), share.Watched.rates(watched, qvel), watched)
+            _agree(watched.rates(qvel), share.Watched.rates(watched, qvel))
             for arm in controller._arms:
                 mine, theirs = arm.share, _in_numpy(arm, controller)
                 theirs.other_m_s[...] = mine.other_m_s
@@ -598,14 +599,15 @@ def test_stages_agree_on_the_way(tmp_path, name):
     assert kept > 20
 
 
-def test_numbers_that_are_not_finite_are_told_by_name(cell):
+def test_numbers_that_are_not_finite_are_told_by_name(cell, monkeypatch):
     qpos, qvel = _home(cell)
     for bad in (np.nan, np.inf):
         controller = Controller(cell)
         controller.step(qpos, qvel)
         arm = controller._arms[1]
+        assert arm.jobs is not None
         target = path.standing(arm.target.position_m, np.array([bad, 0.0, 0.0, 0.0]))
-        arm.jobs.target = lambda target=target: target
+        monkeypatch.setattr(arm.jobs, "target", lambda target=target: target)
         with pytest.raises(ControlFault, match="the tool target of arm nurse"):
             controller.step(qpos, qvel)
 

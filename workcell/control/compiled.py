@@ -60,17 +60,17 @@ class CompiledWatched(Watched):
         owner = np.full(nv, -1, dtype=np.int64)
         for arm, own in enumerate(dofs):
             owner[own] = arm
-        self._rates: Bound = kernels.bind(
-            "rates",
-            {"pairs": pairs, "joints": nv, "arms": len(dofs)},
-            jacobian=self.jacobian,
-            distance=self.distance_m,
-            silent=self.silent,
-            owner=owner,
-        )
-        kept = self._rates.arrays
-        self._velocity, self._rate = kept["velocity"], kept["rate"]
-        self._ttc_s, self._which = kept["ttc"].item, kept["which"].tolist
+        self._rates: dict[int, Bound] = {
+            order: kernels.bind(
+                "rates",
+                {"pairs": pairs, "joints": nv, "arms": len(dofs), "order": order},
+                jacobian=self.jacobian,
+                distance=self.distance_m,
+                silent=self.silent,
+                owner=owner,
+            )
+            for order in (1, 2)
+        }
 
     def share(
         self, ik: ArmIk, configuration: mink.Configuration, pairs: ArmPairs, *, support: bool
@@ -78,19 +78,19 @@ class CompiledWatched(Watched):
         """See `share.Watched.share`."""
         return CompiledShare(self.kernels, self, ik, configuration, pairs, support=support)
 
-    def rates(self, velocity_rad_s: Array) -> Rates:
+    def rates(self, velocity_rad_s: Array, accel_m_s2: Array | None = None) -> Rates:
         """See `share.Watched.rates`."""
-        self._velocity[...] = velocity_rad_s
-        self._rates.run()
-        if self._rates.done() != DONE:
-            return super().rates(velocity_rad_s)
-        first, nearest, cause = self._which()
-        return Rates(
-            self._rate.copy(),
-            SmallestTtc(self._ttc_s(), first),
-            nearest,
-            None if cause < 0 else cause,
-        )
+        call = self._rates[1 if accel_m_s2 is None else 2]
+        kept = call.arrays
+        kept["velocity"][...] = velocity_rad_s
+        if accel_m_s2 is not None:
+            kept["accel"][...] = accel_m_s2
+        call.run()
+        if call.done() != DONE:
+            return super().rates(velocity_rad_s, accel_m_s2)
+        first, nearest, cause = kept["which"].tolist()
+        soonest = SmallestTtc(kept["ttc"].item(), first)
+        return Rates(kept["rate"].copy(), soonest, nearest, None if cause < 0 else cause)
 
 
 class CompiledShare(Share):

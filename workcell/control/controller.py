@@ -16,7 +16,6 @@ allow to an arm is worked out in `share.py`.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import mink
@@ -24,7 +23,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control import ttc
 from workcell.control.arm import ControlledArm
 from workcell.control.compiled import CompiledWatched
 from workcell.control.criteria import NullspaceObjective
@@ -32,10 +30,10 @@ from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import IkSolution
 from workcell.control.kernels.library import kernels
-from workcell.control.proximity import PairGeometry, Proximity
+from workcell.control.proximity import PairGeometry
 from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.second_order import second_order
-from workcell.control.share import TASK_SLACK_M_S, ArmPairs, Rates, Watched
+from workcell.control.share import TASK_SLACK_M_S, ArmPairs, Watched
 from workcell.errors import ControlFault
 from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
@@ -193,11 +191,15 @@ class Controller:
         mujoco.mj_sensorPos(model, belief.data)
         proximity = self._geometry.measure(belief.data, kept=True)
         watched.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
-        rates = watched.rates(qvel)
-        watched.rate_m_s[...] = rates.rate_m_s
         watched.accel_m_s2 = None
         if self._settings.order == 2:
-            rates = self._second_order(proximity, rates, qvel)
+            # Joint accelerations count as zero: nobody knows what a person will do.
+            still = np.zeros(model.nv)
+            watched.accel_m_s2 = second_order(
+                self._geometry, belief.data, proximity, still
+            ).accel_m_s2
+        rates = watched.rates(qvel, watched.accel_m_s2)
+        watched.rate_m_s[...] = rates.rate_m_s
         first = rates.first
         shown = first.pair if first.pair >= 0 else rates.nearest
         record = TickRecord(
@@ -221,18 +223,6 @@ class Controller:
         for arm in self._arms:
             record.arms[arm.handles.name] = self._look_at(arm)
         return record
-
-    def _second_order(self, proximity: Proximity, rates: Rates, qvel: NDArray[np.float64]) -> Rates:
-        """The rates with second-order times; joint accelerations count as zero."""
-        watched = self._watched
-        if self.cell.instruments:
-            proximity = replace(proximity, jacobian=watched.jacobian)
-        found = second_order(
-            self._geometry, self._belief.data, proximity, np.zeros(self.cell.model.nv)
-        )
-        watched.accel_m_s2 = found.accel_m_s2
-        kappa = ttc.reciprocal_second_order(watched.distance_m, rates.rate_m_s, found.accel_m_s2)
-        return watched.timed(rates.rate_m_s, kappa, qvel)
 
     def _look_at(self, arm: ControlledArm) -> ArmRecord:
         handles, wxyz = arm.handles, np.empty(4)

@@ -189,8 +189,8 @@ class PairGeometry:
 
         Args:
             data: After `mj_kinematics`, `mj_comPos` and `mj_sensorPos`.
-            kept: Whether the answer may be in arrays that the next call overwrites, which saves half of the time
-                for a hundred pairs.
+            kept: Whether the answer may be in arrays that the next call (or `second_order`, for another answer)
+                overwrites, which saves half of the time for a hundred pairs.
 
         Raises:
             WorkcellError: A pair is beyond its sensor's cutoff, or a result is not finite.
@@ -394,6 +394,10 @@ class _Compiled:
             dof_body=_integers(geometry.dof_body),
             body=_integers(np.stack([geometry.body_i, geometry.body_j], axis=1)),
             face=np.stack([geometry.face_half_size_i_m, geometry.face_half_size_j_m], axis=1),
+            **{
+                name: self._measure.arrays[name]
+                for name in ("witness_i", "witness_j", "normal", "degenerate")
+            },
         )
         kept = self._measure.arrays
         self._found = Proximity(

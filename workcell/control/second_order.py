@@ -74,14 +74,11 @@ def second_order(
     if compiled is not None:
         call = compiled.second_order
         kept = call.arrays
-        for name, value in (
-            ("qacc", qacc),
-            ("witness_i", proximity.witness_i_m),
-            ("witness_j", proximity.witness_j_m),
-            ("normal", proximity.normal),
-            ("degenerate", proximity.degenerate),
-        ):
-            np.copyto(kept[name], value)
+        kept["qacc"][...] = qacc
+        if proximity.normal is not kept["normal"]:  # else it is measured there already
+            kept["witness_i"][...] = proximity.witness_i_m
+            kept["witness_j"][...] = proximity.witness_j_m
+            kept["normal"][...], kept["degenerate"][...] = proximity.normal, proximity.degenerate
         call.run()
         if call.done() == DONE:
             return SecondOrder(*[kept[name].copy() for name in ("accel", "exact", "parallel")])

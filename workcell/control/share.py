@@ -110,26 +110,27 @@ class Watched:
         """One arm's part."""
         return Share(self, ik, configuration, pairs, support=support)
 
-    def rates(self, velocity_rad_s: Array) -> Rates:
-        """What a velocity (nv,) of all joints does.
+    def rates(self, velocity_rad_s: Array, accel_m_s2: Array | None = None) -> Rates:
+        """What a velocity (nv,) of all joints does; with d̈ (P,) the times are of second order.
 
         Raises:
-            WorkcellError: it is not finite.
+            WorkcellError: a number is not finite.
         """
-        rate = self.jacobian @ velocity_rad_s
-        return self.timed(rate, ttc.reciprocal_first_order(self.distance_m, rate), velocity_rad_s)
-
-    def timed(self, rate_m_s: Array, kappa_per_s: Array, velocity_rad_s: Array) -> Rates:
-        """The same from rates and reciprocal times that are known."""
-        if not len(rate_m_s):
-            return Rates(rate_m_s, ttc.smallest(kappa_per_s), None, None)
-        first = ttc.smallest(np.where(self.silent, 0.0, kappa_per_s))
-        nearest = int(np.where(self.silent, np.inf, self.distance_m).argmin())
+        distance, rate = self.distance_m, self.jacobian @ velocity_rad_s
+        kappa = (
+            ttc.reciprocal_first_order(distance, rate)
+            if accel_m_s2 is None
+            else ttc.reciprocal_second_order(distance, rate, accel_m_s2)
+        )
+        if not len(rate):
+            return Rates(rate, ttc.smallest(kappa), None, None)
+        first = ttc.smallest(np.where(self.silent, 0.0, kappa))
+        nearest = int(np.where(self.silent, np.inf, distance).argmin())
         cause = None
         if first.pair >= 0:
             row = self.jacobian[first.pair]
             cause = int(np.argmin([row[dofs] @ velocity_rad_s[dofs] for dofs in self._dofs]))
-        return Rates(rate_m_s, first, nearest, cause)
+        return Rates(rate, first, nearest, cause)
 
 
 @dataclass(frozen=True)

@@ -241,11 +241,12 @@ SIGNATURES: dict[str, Signature] = {
         """,
     ),
     "rates": _signature(
-        "pairs joints arms",
+        "pairs joints arms order",
         """
         jacobian      f pairs joints
         distance      f pairs
         velocity      f joints
+        accel         f pairs
         silent        b pairs
         owner         i joints
         rate          f pairs

@@ -364,6 +364,27 @@ def reciprocal_first_order(pairs, distance, rate, setting, kappa, answer):
 
 
 @_compiled
+def _second_order(d, speed, a, gap):
+    """One entry of `ttc.reciprocal_second_order`."""
+    if d <= 0.0 or (gap <= 0.0 and (speed < 0.0 or (speed == 0.0 and a < 0.0))):
+        return math.inf
+    if gap <= 0.0:
+        return 0.0
+    curvature = math.sqrt(abs(a)) * math.sqrt(gap)
+    size = max(abs(speed), curvature)
+    if size == 0.0:
+        return 0.0
+    part, share = speed / size, curvature / size
+    direction = 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
+    discriminant = part * part - 2.0 * direction * (share * share)
+    if discriminant < -GRAZING_TOLERANCE:
+        return 0.0
+    root = math.sqrt(max(discriminant, 0.0))
+    closing, opening = size * (root - part) / (2.0 * gap), -a / (size * (root + part))
+    return max(opening if part > 0.0 else closing, 0.0)
+
+
+@_compiled
 def reciprocal_second_order(pairs, distance, rate, accel, setting, kappa, answer):
     """`ttc.reciprocal_second_order`; the setting is its standoff."""
     answer[0] = DONE
@@ -372,25 +393,7 @@ def reciprocal_second_order(pairs, distance, rate, accel, setting, kappa, answer
         if not (math.isfinite(d) and math.isfinite(speed) and math.isfinite(a)):
             answer[0] = REFUSED
             return
-        gap = d - setting[0]
-        if d <= 0.0 or (gap <= 0.0 and (speed < 0.0 or (speed == 0.0 and a < 0.0))):
-            kappa[pair] = math.inf
-            continue
-        kappa[pair] = 0.0
-        if gap <= 0.0:
-            continue
-        curvature = math.sqrt(abs(a)) * math.sqrt(gap)
-        size = max(abs(speed), curvature)
-        if size == 0.0:
-            continue
-        part, share = speed / size, curvature / size
-        direction = 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
-        discriminant = part * part - 2.0 * direction * (share * share)
-        if discriminant < -GRAZING_TOLERANCE:
-            continue
-        root = math.sqrt(max(discriminant, 0.0))
-        closing, opening = size * (root - part) / (2.0 * gap), -a / (size * (root + part))
-        kappa[pair] = max(opening if part > 0.0 else closing, 0.0)
+        kappa[pair] = _second_order(d, speed, a, d - setting[0])
 
 
 @_compiled
@@ -487,7 +490,8 @@ def with_room_to_stops(joints, q, lower, upper, linear, setting, pushed, any, an
 
 @_compiled
 def rates(
-    pairs, joints, arms, jacobian, distance, velocity, silent, owner, rate, ttc, which, part, answer
+    pairs, joints, arms, order,
+    jacobian, distance, velocity, accel, silent, owner, rate, ttc, which, part, answer,
 ):  # fmt: skip
     """`share.Watched.rates`; `which` are the first pair, the nearest and the arm that closes the first most."""
     answer[0] = REFUSED
@@ -504,7 +508,11 @@ def rates(
             continue
         if d < least:
             least, nearest = d, pair
-        if d <= 0.0:
+        if order == 2:
+            if not math.isfinite(accel[pair]):
+                return
+            kappa = _second_order(d, total, accel[pair], d)
+        elif d <= 0.0:
             kappa = math.inf
         elif total < 0.0:
             kappa = -total / d
