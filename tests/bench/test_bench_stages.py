@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -24,6 +25,7 @@ from workcell.control.ik import ArmIk
 from workcell.control.kernels import library
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
+from workcell.control.share import Watched
 from workcell.scene import cell as scene
 from workcell.trace.table import TraceWriter
 
@@ -113,21 +115,31 @@ def test_pairs_alone(benchmark, cell, states):
             np.asarray(cell.sensor_adr)[chosen],
         )
 
-        def first(geometry=geometry):
-            near = geometry.measure(data)
-            rate = near.rate_m_s(data.qvel)
-            ttc.smallest(ttc.reciprocal_first_order(near.distance_m, rate))
-            criteria.artc_signed(near.distance_m, rate)
-            criteria.artc_signed_gradient(near.distance_m, near.jacobian)
-            return near, rate
+        watched = _watched_pairs(cell, count)
+        near = geometry.measure(data, kept=True)
+        watched.take(near, near.jacobian)
+        criterion = _criterion(watched)
 
-        near, rate = first()
+        def first(geometry=geometry, watched=watched, criterion=criterion):
+            near = geometry.measure(data, kept=True)
+            watched.take(near, near.jacobian)
+            watched.rate_m_s[...] = watched.rates(data.qvel).rate_m_s
+            criterion()
 
-        def second(geometry=geometry, near=near, rate=rate):
+        def second(geometry=geometry, watched=watched, near=near):
             accel = second_order(geometry, data, near, np.zeros(cell.model.nv)).accel_m_s2
-            ttc.smallest(ttc.reciprocal_second_order(near.distance_m, rate, accel))
+            watched.rates(data.qvel, accel)
 
-        found[count] = {"first": timed(first, 300).told(), "second": timed(second, 300).told()}
+        def without(watched=watched):
+            watched.rates(data.qvel)
+
+        found[count] = {"first": timed(first, 1000).told()}
+        beside, instead = timed(second, 1000).told(), timed(without, 1000).told()
+        found[count]["second"] = {
+            key: round(value - instead[key], 1)
+            for key, value in beside.items()
+            if key.endswith("median_us")
+        }
         print(
             f"\n{library.in_use()}, {count} pairs: first order {found[count]['first']}, d̈ {found[count]['second']}"
         )
@@ -136,6 +148,40 @@ def test_pairs_alone(benchmark, cell, states):
     few, many = (found[count]["first"]["cpu_median_us"] for count in (64, 4000))
     print(f"{(many - few) / (4000 - 64):.3f} µs for a further pair")
     assert many <= few * 4000 / 64, "the cost must grow no faster than the number of pairs"
+
+
+def _watched_pairs(cell, count: int) -> Watched:
+    """What the controller keeps for so many pairs."""
+    found, dofs = library.kernels(), [arm.dofs for arm in cell.arms]
+    if found is None:
+        return Watched(count, dofs, cell.model.nv)
+    return CompiledWatched(found, count, dofs, cell.model.nv)
+
+
+def _criterion(watched: Watched) -> Callable[[], object]:
+    """ARTC and its gradient for all joints, where the controller's stages have them: on arrays that are kept."""
+    found = library.kernels()
+    if found is None:
+        return lambda: (
+            criteria.artc_signed(watched.distance_m, watched.rate_m_s),
+            criteria.artc_signed_gradient(watched.distance_m, watched.jacobian),
+        )
+    pairs, joints = watched.jacobian.shape
+    seen = {"distance": watched.distance_m, "rate": watched.rate_m_s}
+    value = found.bind("average", {"pairs": pairs, "kind": 0}, **seen)
+    gradient = found.bind(
+        "objective", {"pairs": pairs, "joints": joints, "kind": 0}, rows=watched.jacobian, **seen
+    )
+
+    def both() -> tuple[float, np.ndarray]:
+        value.run()
+        gradient.run()
+        return value.arrays["value"].item(), gradient.arrays["linear"]
+
+    np.testing.assert_allclose(
+        both()[1], criteria.artc_signed_gradient(watched.distance_m, watched.jacobian)
+    )
+    return both
 
 
 def test_tick_against_pairs_and_arms(benchmark, tmp_path):

@@ -8,6 +8,7 @@ nothing else; the headless run with its trace and its final check against the cl
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import mink
 import mujoco
@@ -21,11 +22,13 @@ from workcell.control.ik import ArmIk
 from workcell.control.kernels import library
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
+from workcell.trace.table import TraceWriter
 
-TICK_BUDGET = 3.5
-"""A whole tick may cost this many times the bare inverse kinematics with compiled code; docs/performance.md has the aim."""
-REAL_TIME_BUDGET = 3.0
-"""A headless run must be this many times faster than the clock."""
+TICK_BUDGET = 1.6
+"""A whole tick may cost this many times the bare inverse kinematics with compiled code; docs/performance.md has the aim, 1.35."""
+REAL_TIME_BUDGETS = {"true": 1.0, "false": 2.0}
+"""A headless run must be this many times faster than the clock, with and without the final check. These are floors; the
+aim is 8."""
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +51,11 @@ def states(cell) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 class WholeTick:
-    """The controller, fed the recorded states over and over."""
+    """The controller, fed the recorded states over and over, and a row of the trace for each."""
 
-    def __init__(self, cell: Cell, states):
+    def __init__(self, cell: Cell, states, folder: Path):
         self._cell, self._states = cell, states
+        self._trace = TraceWriter(folder, runner.layout(cell), runner.metadata(cell), cell.period_s)
         self._restart()
 
     def _restart(self) -> None:
@@ -60,7 +64,7 @@ class WholeTick:
     def __call__(self) -> None:
         if self._next == len(self._states):
             self._restart()
-        self._controller.step(*self._states[self._next])
+        self._trace.append(self._controller.step(*self._states[self._next]))
         self._next += 1
 
 
@@ -112,14 +116,14 @@ def test_bare_inverse_kinematics(benchmark, cell, states):
     benchmark(BareIk(cell, states))
 
 
-def test_whole_tick(benchmark, cell, states):
-    benchmark(WholeTick(cell, states))
+def test_whole_tick(benchmark, cell, states, tmp_path):
+    benchmark(WholeTick(cell, states, tmp_path))
 
 
-def test_a_tick_against_the_bare_inverse_kinematics(benchmark, cell, states):
+def test_a_tick_against_the_bare_inverse_kinematics(benchmark, cell, states, tmp_path):
     """Measured in turns, so that both see the same machine."""
     assert len(cell.pairs) >= 64
-    tick, bare = WholeTick(cell, states), BareIk(cell, states)
+    tick, bare = WholeTick(cell, states, tmp_path), BareIk(cell, states)
     rounds = [(median_s(tick, 100), median_s(bare, 100)) for _ in range(10)]
     benchmark(lambda: None)
     ratio = float(np.median([a / b for a, b in rounds]))
@@ -132,12 +136,19 @@ def test_a_tick_against_the_bare_inverse_kinematics(benchmark, cell, states):
 
 
 @pytest.mark.parametrize("check", ["true", "false"])
-def test_a_headless_run_against_the_clock(benchmark, tmp_path, check):
-    overrides = ("simulation.duration_s=4.0", f"check.enabled={check}")
-    built = runner.prepare(scenario_file.load("handover", overrides), tmp_path / "scene")
-    start = time.perf_counter()
+def test_a_whole_run_against_the_clock(benchmark, tmp_path, check):
+    """All of `handover`, from the first tick to the closed trace."""
+    built = runner.prepare(
+        scenario_file.load("handover", (f"check.enabled={check}",)), tmp_path / "scene"
+    )
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
     benchmark.pedantic(runner.simulate, (built, tmp_path), rounds=1)
-    speed = 4.0 / (time.perf_counter() - start)
-    benchmark.extra_info["times_real_time"] = speed
-    print(f"\ncheck {check}: {speed:.2f} times real time at 500 Hz, all logging")
-    assert speed >= REAL_TIME_BUDGET
+    simulated_s = built.scenario.simulation.duration_s
+    by_wall, by_cpu = (
+        simulated_s / spent for spent in (time.perf_counter() - wall_s, time.process_time() - cpu_s)
+    )
+    benchmark.extra_info |= {"times_real_time": by_wall, "times_real_time_cpu": by_cpu}
+    print(
+        f"\ncheck {check}: {by_wall:.2f} times real time by the wall, {by_cpu:.2f} by this process's time"
+    )
+    assert by_wall >= REAL_TIME_BUDGETS[check]
