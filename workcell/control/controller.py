@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.control import sharing
 from workcell.control.arm import ControlledArm
 from workcell.control.compiled import CompiledWatched
 from workcell.control.criteria import NullspaceObjective
@@ -33,11 +34,11 @@ from workcell.control.kernels.library import kernels
 from workcell.control.proximity import PairGeometry
 from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.second_order import second_order
-from workcell.control.share import TASK_SLACK_M_S, ArmPairs, Watched
+from workcell.control.share import TASK_SLACK_M_S, Watched
 from workcell.errors import ControlFault
 from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
-from workcell.motion.jobs import Instrument, JobSequence, Meeting, Surroundings
+from workcell.motion.jobs import Instrument, JobSequence, Surroundings
 from workcell.motion.path import standing
 from workcell.motion.wish import Operator
 from workcell.scenario import Control
@@ -91,7 +92,6 @@ class Controller:
         self._support = sorted(
             (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
         )
-        self._instrument_geom = {item.name: item.geom for item in cell.instruments}
         self._watched = _watched(cell)
         self._share_pairs()
         self._keeps_rule = cell.scenario.sabotage.factor_multiplier == 1.0  # else it would mend it
@@ -620,66 +620,19 @@ class Controller:
         return float(self._watched.distance_m[pairs].min()) if len(pairs) else np.inf
 
     def _meeting_pairs(self, arm: ControlledArm) -> NDArray[np.intp]:
-        """Pairs that the arm's present job brings together, or that it leaves after having done so."""
+        """Pairs that the arm's present job brings together; looked for when the job or a hand changes."""
         meeting = None if arm.jobs is None else arm.jobs.meeting
         key = (meeting, self.grasps.summary())
         if arm.meeting_key != key:
-            pairs = (
-                []
-                if meeting is None
-                else [
-                    k
-                    for k in arm.share.pairs.moved
-                    if self._meets(meeting, arm.handles.name, *map(int, self.cell.pairs.geoms[k]))
-                ]
-            )
-            arm.meeting_key, arm.meeting_pairs = key, np.array(pairs, dtype=np.intp)
+            arm.meeting_key = key
+            arm.meeting_pairs = sharing.meeting_pairs(self.cell, self.grasps, arm, meeting)
         return arm.meeting_pairs
 
-    def _meets(self, meeting: Meeting, name: str, g: int, h: int) -> bool:
-        """Whether one geom is of this arm's hand and the other of what it is to meet."""
-        moved = self._instrument_geom.get(meeting.instrument or "")
-        if moved is not None and moved not in (g, h):
-            return False  # a hand-over is complete when the instrument is there, not when the hands are
-        for mine, theirs in ((g, h), (h, g)):
-            if self.grasps.part_of_hand(mine, name) and (
-                theirs == moved
-                if meeting.arm is None
-                else self.grasps.part_of_hand(theirs, meeting.arm)
-            ):
-                return True
-        return False
-
     def _share_pairs(self) -> None:
-        """Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
-
-        Between two arms it is the support arm, of two support arms the one with the higher priority
-        number, of equals the later in the scenario; near a base it is the arm that comes, if a
-        support arm does. Done again whenever an instrument changes hands.
-        """
-        rank = {
-            arm.handles.name: (arm.support, arm.handles.priority, index)
-            for index, arm in enumerate(self._arms)
-        }
-        parties = [self.grasps.parties(k) for k in range(len(self.cell.pairs))]
-        holders = [
-            [name for name in names if rank[name][0] and self.grasps.can_move(k, name)] or names
-            for k, names in enumerate(parties)
-        ]
-        self._watched.silent[...] = [not names for names in parties]
-        owners = self.cell.pairs.owners
-        for arm in self._arms:
-            name = arm.handles.name
-            mine = [k for k, names in enumerate(parties) if name in names]
-            owned = [
-                k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)
-            ]
-            pairs = ArmPairs(
-                moved=np.array(mine, dtype=np.intp),
-                averaged=np.array([k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp),
-                owned=np.array(owned, dtype=np.intp),
-                standing=np.array([not self.grasps.can_move(k, name) for k in owned], dtype=bool),
-            )
+        """Deal out the pairs, as the instruments are held now."""
+        self._watched.silent[...] = sharing.silent_pairs(self.cell, self.grasps)
+        dealt = sharing.shared_out(self.cell, self.grasps, self._arms)
+        for arm, pairs in zip(self._arms, dealt, strict=True):
             arm.share = self._watched.share(arm.ik, self._belief, pairs, support=arm.support)
 
     def _finite(self, values: NDArray[np.float64], what: str) -> None:

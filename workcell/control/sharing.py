@@ -1,0 +1,79 @@
+"""Who answers for which pair, and which pairs a job brings together; anew whenever an instrument changes hands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.arm import ControlledArm
+from workcell.control.grasp import Grasps
+from workcell.control.share import ArmPairs
+from workcell.motion.jobs import Meeting
+from workcell.scene.cell import Cell
+
+
+def silent_pairs(cell: Cell, grasps: Grasps) -> NDArray[np.bool_]:
+    """(P,) pairs that no arm's motion changes, or that do not count now: an instrument against the hand that holds it."""
+    return np.array([not grasps.parties(k) for k in range(len(cell.pairs))], dtype=bool)
+
+
+def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> list[ArmPairs]:
+    """Which pairs concern each arm, in the order of the arms.
+
+    Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
+    Between two arms it is the support arm, of two support arms the one with the higher priority
+    number, of equals the later in the scenario; near a base it is the arm that comes, if a
+    support arm does.
+    """
+    rank = {
+        arm.handles.name: (arm.support, arm.handles.priority, index)
+        for index, arm in enumerate(arms)
+    }
+    parties = [grasps.parties(k) for k in range(len(cell.pairs))]
+    holders = [
+        [name for name in names if rank[name][0] and grasps.can_move(k, name)] or names
+        for k, names in enumerate(parties)
+    ]
+    owners = cell.pairs.owners
+    dealt = []
+    for arm in arms:
+        name = arm.handles.name
+        mine = [k for k, names in enumerate(parties) if name in names]
+        owned = [k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)]
+        dealt.append(
+            ArmPairs(
+                moved=np.array(mine, dtype=np.intp),
+                averaged=np.array([k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp),
+                owned=np.array(owned, dtype=np.intp),
+                standing=np.array([not grasps.can_move(k, name) for k in owned], dtype=bool),
+            )
+        )
+    return dealt
+
+
+def meeting_pairs(
+    cell: Cell, grasps: Grasps, arm: ControlledArm, meeting: Meeting | None
+) -> NDArray[np.intp]:
+    """Pairs that an arm's present job brings together, or that it leaves after having done so.
+
+    One geom is of the arm's hand and the other of what it is to meet.
+    """
+    if meeting is None:
+        return np.array([], dtype=np.intp)
+    moved = next((item.geom for item in cell.instruments if item.name == meeting.instrument), None)
+
+    def meets(g: int, h: int) -> bool:
+        if moved is not None and moved not in (g, h):
+            return False  # a hand-over is complete when the instrument is there, not when the hands are
+        return any(
+            grasps.part_of_hand(mine, arm.handles.name)
+            and (
+                theirs == moved if meeting.arm is None else grasps.part_of_hand(theirs, meeting.arm)
+            )
+            for mine, theirs in ((g, h), (h, g))
+        )
+
+    found = [k for k in arm.share.pairs.moved if meets(*map(int, cell.pairs.geoms[k]))]
+    return np.array(found, dtype=np.intp)
