@@ -103,6 +103,16 @@ def test_a_hand_that_lets_go_may_touch_it_until_it_has_once_been_clear(checker: 
     assert ask(checker, touching, SURGEON, tick=51).halt
 
 
+@pytest.mark.parametrize(("clear_m", "halts"), [(None, True), (0.05, False)])
+def test_how_far_is_clear_may_be_another_distance_than_that_of_a_halt(scene: Path, clear_m, halts):
+    """A judge of contacts halts at 0; what has just been let go lies nearer than that to nobody's fault."""
+    checker = Checker(scene, replace(GIVEN, d_min_m=0.0, clear_m=clear_m))
+    near = beside(checker, "nurse/tool_tip", 0.02)
+    assert not ask(checker, near, NURSE).halt
+    assert not ask(checker, near, NOBODY, tick=1).halt
+    assert ask(checker, on(checker, "nurse/tool_tip"), NOBODY, tick=2).halt is halts
+
+
 def test_a_hand_that_never_gets_clear_is_let_off_for_a_time_only(checker: Checker):
     touching = on(checker, "nurse/tool_tip")
     ask(checker, touching, NURSE, tick=0)

@@ -110,12 +110,13 @@ class Checker:
         """
         gripping = []
         limit = self.settings.release_s / self.settings.period_s
+        apart_m = self.settings.d_min_m if self.settings.clear_m is None else self.settings.clear_m
         for k, (grip, holder) in enumerate(zip(self._grips, request.holders, strict=True)):
             if holder != grip.holder:
                 grip.leaving, grip.left_tick, grip.holder = grip.holder, request.tick, holder
             if grip.leaving != NOBODY:
                 pairs = (self.table.held[k, grip.leaving], ("leaving", k, grip.leaving))
-                clear = self._search.nearest(*pairs).distance_m > self.settings.d_min_m
+                clear = self._search.nearest(*pairs).distance_m > apart_m
                 if clear or not 0 <= request.tick - grip.left_tick < limit:
                     grip.leaving = NOBODY
             gripping += [(k, arm) for arm in (holder, grip.leaving) if arm != NOBODY]

@@ -116,6 +116,8 @@ class CheckSettings:
     release_s: float = 60.0
     """Longest time after it has given an instrument away that a hand may still touch it, s of
     simulated time; it ends as soon as the two are clear. Chosen longer than any retreat."""
+    clear_m: float | None = None
+    """Distance beyond which they are, m; None for `d_min_m`."""
     enabled: bool = True
     """False: no process is started, every verdict is `off`."""
     test_fault: TestFault | None = field(default=None)
@@ -220,6 +222,10 @@ def _number_faults(settings: CheckSettings) -> list[str]:
         for name in ("every_ticks", "max_age_ticks")
         if not (isinstance(getattr(settings, name), int) and getattr(settings, name) >= 1)
     ]
+    if settings.clear_m is not None and not (
+        math.isfinite(settings.clear_m) and settings.clear_m >= 0.0
+    ):
+        faults.append(f"clear_m: {settings.clear_m} must be finite and at least 0, or None")
     # Contact must always halt, and a d_min at or above the ceiling would halt for ever.
     if not (math.isfinite(settings.d_min_m) and 0.0 <= settings.d_min_m < settings.ceiling_m):
         faults.append(

@@ -77,7 +77,11 @@ class ContactJudge:
             replace(e, d_min_m=min(0.0, e.d_min_m), max_closing_m_s=_ANY_SPEED_M_S)
             for e in settings.exemptions
         )
-        self._checker = Checker(scene_xml, replace(settings, d_min_m=0.0, exemptions=terms))
+        # A hand is clear of what it let go at the check's own distance, as in the check.
+        self._checker = Checker(
+            scene_xml,
+            replace(settings, d_min_m=0.0, clear_m=settings.d_min_m, exemptions=terms),
+        )
         self._data = mujoco.MjData(self._checker.model)
         self._period_s = settings.period_s
         self._d_min_m = settings.d_min_m
