@@ -11,10 +11,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from workcell.study.report import EVENTS, QUANTITIES, Row, by_setting, made, values
 from workcell.study.statistics import rate
 from workcell.trace.palette import arm_colour, unit_rgb
+
+_STROKES = ("-", "--", ":", "-.")
+"""Of settings: two that behave alike lie on each other."""
 
 
 def draw(rows: list[Row], folder: Path) -> list[Path]:
@@ -53,22 +57,31 @@ def _rates(rows: list[Row], path: Path) -> Path:
 def _spreads(rows: list[Row], path: Path) -> Path:
     settings = by_setting(rows)
     figure = Figure(figsize=(12, 6.5), layout="constrained")
+    lines: dict[
+        str, Line2D
+    ] = {}  # a setting that has never done its jobs has no line in the first axes
     for axes, quantity in zip(figure.subplots(2, 4).flat, QUANTITIES, strict=False):
         for k, (name, of_setting) in enumerate(settings.items()):
             shown = values(made(of_setting), quantity)
             shown = np.sort(shown[np.isfinite(shown)])
             if len(shown):
                 share = np.arange(1, len(shown) + 1) / len(shown)
-                axes.step(
-                    shown, share, where="post", color=unit_rgb(arm_colour(k)), label=name or None
-                )
+                lines[name] = axes.step(
+                    shown,
+                    share,
+                    where="post",
+                    color=unit_rgb(arm_colour(k)),
+                    linestyle=_STROKES[k % len(_STROKES)],
+                )[0]
         axes.set_xlabel(quantity.name, fontsize="small")
         axes.set_ylim(0, 1.02)
         axes.grid(alpha=0.25)
     figure.axes[len(QUANTITIES)].set_axis_off()
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    if handles:
-        figure.axes[len(QUANTITIES)].legend(handles, labels, loc="center", fontsize="small")
+    named = {name: lines[name] for name in settings if name and name in lines}
+    if named:
+        figure.axes[len(QUANTITIES)].legend(
+            named.values(), named.keys(), loc="center", fontsize="small", handlelength=3.5
+        )
     figure.supylabel("share of the runs at or below")
     return _save(figure, path)
 
