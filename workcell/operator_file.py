@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from workcell.errors import InputError
+from workcell.motion.orientation import rotation_between
 from workcell.motion.recording import Samples, write
-from workcell.motion.slew import rotation_between
 from workcell.scenario import Recording, Scenario
 from workcell.trace.table import Trace, load
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.errors import InputError
-from workcell.motion.slew import turned
+from workcell.motion.orientation import turned
 from workcell.scenario import Criterion, Entry
 
 CRITERIA: tuple[str, ...] = get_args(Criterion)

@@ -9,8 +9,8 @@ import pytest
 
 from workcell import scenario
 from workcell.errors import InputError
+from workcell.motion.orientation import rotation_between
 from workcell.motion.recording import POSE_COLUMNS, RecordingOperator, Samples, read, write
-from workcell.motion.slew import rotation_between
 
 HOME = np.array([0.4, 0.5, 0.4])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])

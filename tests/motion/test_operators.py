@@ -8,7 +8,7 @@ import pytest
 from workcell import scenario
 from workcell.motion.human import TREMOR_HZ, HumanOperator
 from workcell.motion.operator import make_operator
-from workcell.motion.slew import rotation_between
+from workcell.motion.orientation import rotation_between
 
 HOME = np.array([0.4, 0.5, 0.4])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
