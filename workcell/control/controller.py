@@ -25,15 +25,16 @@ from numpy.typing import NDArray
 
 from workcell.control import sharing
 from workcell.control.arm import ControlledArm
-from workcell.control.compiled import watched
+from workcell.control.compiled import CompiledWatched
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.finite import all_finite
 from workcell.control.grasp import Grasps
 from workcell.control.ik import IkSolution
+from workcell.control.kernels.library import kernels
 from workcell.control.proximity import PairGeometry
 from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.second_order import second_order
-from workcell.control.share import TASK_SLACK_M_S
+from workcell.control.share import TASK_SLACK_M_S, Watched
 from workcell.errors import ControlFault
 from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
@@ -91,7 +92,7 @@ class Controller:
         self._support = sorted(
             (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
         )
-        self._watched = watched(len(cell.pairs), [arm.dofs for arm in self._arms], cell.model.nv)
+        self._watched = _watched(cell)
         self._share_pairs()
         self._keeps_rule = cell.scenario.sabotage.factor_multiplier == 1.0  # else it would mend it
         self._record: TickRecord | None = None
@@ -183,22 +184,22 @@ class Controller:
     def _measure(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> TickRecord:
         self._finite(qpos, "qpos, the measured joint positions")
         self._finite(qvel, "qvel, the measured joint velocities")
-        belief, model, pairs = self._belief, self.cell.model, self._watched
+        belief, model, watched = self._belief, self.cell.model, self._watched
         belief.data.qvel[:] = qvel
         belief.update(qpos)
         mujoco.mj_comVel(model, belief.data)
         mujoco.mj_sensorPos(model, belief.data)
         proximity = self._geometry.measure(belief.data, kept=True)
-        pairs.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
-        pairs.accel_m_s2 = None
+        watched.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
+        watched.accel_m_s2 = None
         if self._settings.order == 2:
             # Joint accelerations count as zero: nobody knows what a person will do.
             still = np.zeros(model.nv)
-            pairs.accel_m_s2 = second_order(
+            watched.accel_m_s2 = second_order(
                 self._geometry, belief.data, proximity, still
             ).accel_m_s2
-        rates = pairs.rates(qvel, pairs.accel_m_s2)
-        pairs.rate_m_s[...] = rates.rate_m_s
+        rates = watched.rates(qvel, watched.accel_m_s2)
+        watched.rate_m_s[...] = rates.rate_m_s
         first = rates.first
         shown = first.pair if first.pair >= 0 else rates.nearest
         record = TickRecord(
@@ -206,7 +207,7 @@ class Controller:
             time_s=self.tick * self._dt,
             qpos=qpos,
             qvel=qvel,
-            pair_distance_m=pairs.distance_m.copy(),
+            pair_distance_m=watched.distance_m.copy(),
             pair_rate_m_s=rates.rate_m_s,
             t_min_s=self._settings.t_min_s,
             criterion=self._settings.criterion,
@@ -406,10 +407,10 @@ class Controller:
         arm.paused = rung.paused
         arm.tried_entry = arm.tried_entry and rung.attempt == "re_enter"
         row.limiting_pair = int(arm.share.pairs.owned[bound.pair]) if bound.pair >= 0 else None
-        arm.command_before_rad_s = arm.command_rad_s
         if rung.yielding:
             self._yield(arm, row)
             return
+        arm.command_before_rad_s = arm.command_rad_s
         by_time = self._settings.slow_down == "ttc"
         if by_time and bound.factor < 1.0 and self._is_left(arm, row.limiting_pair):
             self._slide(arm, row)
@@ -470,29 +471,17 @@ class Controller:
         Returns:
             The share of the wanted velocity that the command has, in [0, 1]; the factor goes on from there.
         """
-        velocity = arm.command_rad_s = self._evade(arm, preferred_rad_s, rows, needed_m_s, row)
-        wanted = arm.wanted_rad_s
+        before, wanted = arm.command_before_rad_s, arm.wanted_rad_s
+        velocity = arm.ik.evade(self._belief, before, preferred_rad_s, rows, needed_m_s)
+        if velocity is None:
+            velocity = brake(before, arm.handles.acceleration_limit_rad_s2, self._dt)
+            if row is not None:
+                row.ik_status = "stopped"
+        arm.command_rad_s = velocity
         along = float(velocity @ wanted) / max(float(wanted @ wanted), 1e-12)
         factor = min(1.0, max(0.0, along))
         arm.governor.resume(factor)
         return factor
-
-    def _evade(
-        self,
-        arm: ControlledArm,
-        preferred_rad_s: NDArray[np.float64],
-        rows: NDArray[np.float64],
-        needed_m_s: NDArray[np.float64],
-        row: ArmRecord | None,
-    ) -> NDArray[np.float64]:
-        """(n,) the nearest such velocity that the joints can reach; the hardest braking where the solver fails, and the row is told."""
-        before = arm.command_before_rad_s
-        velocity = arm.ik.evade(self._belief, before, preferred_rad_s, rows, needed_m_s)
-        if velocity is not None:
-            return velocity
-        if row is not None:
-            row.ik_status = "stopped"
-        return brake(before, arm.handles.acceleration_limit_rad_s2, self._dt)
 
     def _keep(self, arm: ControlledArm, factor: float, infeasible: bool) -> tuple[float, bool]:
         """Leave the path where the joints cannot slow down along it as fast as the times to collision ask.
@@ -532,7 +521,11 @@ class Controller:
         needed = -gap / settings.t_min_s - share.other_m_s[pairs]
         back = _backing_factor(rows @ arm.wanted_rad_s, needed)
         preferred = np.zeros(len(arm.dofs)) if back is None else back * arm.wanted_rad_s
-        arm.command_rad_s = arm.wanted_rad_s = self._evade(arm, preferred, rows, needed, row)
+        velocity = arm.ik.evade(self._belief, arm.command_rad_s, preferred, rows, needed)
+        if velocity is None:
+            velocity = brake(arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
+            row.ik_status = "stopped"
+        arm.command_rad_s = arm.wanted_rad_s = velocity
         arm.governor.resume(0.0)
         arm.factor = row.scale = back or 0.0
         row.reason, row.mode = "other_arm", "yield"
@@ -637,15 +630,22 @@ class Controller:
 
     def _share_pairs(self) -> None:
         """Deal out the pairs, as the instruments are held now."""
+        self._watched.silent[...] = sharing.silent_pairs(self.cell, self.grasps)
         dealt = sharing.shared_out(self.cell, self.grasps, self._arms)
-        self._watched.silent[...] = True
         for arm, pairs in zip(self._arms, dealt, strict=True):
-            self._watched.silent[pairs.moved] = False
             arm.share = self._watched.share(arm.ik, self._belief, pairs, support=arm.support)
 
     def _finite(self, values: NDArray[np.float64], what: str) -> None:
         if not all_finite(values):
             raise ControlFault(self.tick, f"{what}, is not finite: {np.asarray(values).tolist()}")
+
+
+def _watched(cell: Cell) -> Watched:
+    """Of a cell's pairs, in compiled code where there is any."""
+    found, dofs = kernels(), [arm.dofs for arm in cell.arms]
+    if found is None or not len(cell.pairs):
+        return Watched(len(cell.pairs), dofs, cell.model.nv)
+    return CompiledWatched(found, len(cell.pairs), dofs, cell.model.nv)
 
 
 def _backing_factor(own_m_s: NDArray[np.float64], needed_m_s: NDArray[np.float64]) -> float | None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.scene.cell import Cell
-from workcell.scene.handles import ArmHandles, InstrumentHandles, as_slice
+from workcell.scene.handles import ArmHandles, InstrumentHandles
 
 HAND_BODIES = 3
 """The tool's body and the two links before it: what holds an instrument is not watched against it."""
@@ -79,7 +79,7 @@ class Grasps:
         back_position, back_wxyz = np.empty(3), np.empty(4)
         mujoco.mju_negPose(back_position, back_wxyz, tool_position, tool_wxyz)
         mujoco.mju_mulPose(position, wxyz, back_position, back_wxyz, pose[:3], pose[3:])
-        self._held[instrument] = _Grasp(handles, position, wxyz, as_slice(handles.dofs))
+        self._held[instrument] = _Grasp(handles, position, wxyz, _as_slice(handles.dofs))
         self._tell()
 
     def let_go(self, instrument: str) -> None:
@@ -182,6 +182,12 @@ class Grasps:
         """Say anew who holds what: asked every tick, changed a few times a run."""
         self.holders = {name: self.holder(name) for name in self._items}
         self._summary = " ".join(f"{name}={arm or ''}" for name, arm in self.holders.items())
+
+
+def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """The same entries as a slice where they follow one another."""
+    first, count = int(indices[0]), len(indices)
+    return slice(first, first + count) if (np.diff(indices) == 1).all() else indices
 
 
 def _tool_pose(

@@ -321,7 +321,7 @@ class ArmIk:
         self.tool.follow(target)
         compiled = self.compiled(configuration)
         if compiled is not None:
-            found = compiled.aim(target, self.tool.gain, catch_up_m_s, free_rotation)
+            found = compiled.aim(target, self.tool.gain, self.dt_s, catch_up_m_s, free_rotation)
             if found is not None:
                 self._tool_rows, self._tool_rates, whole, self.path_rad_s = found
                 self.aimed_by = compiled
@@ -580,6 +580,7 @@ class CompiledIk:
         self,
         target: Target,
         gain: float,
+        dt_s: float,
         catch_up_m_s: float,
         free_rotation: bool,
     ) -> tuple[NDArray[np.float64], ...] | None:
@@ -587,10 +588,10 @@ class CompiledIk:
         self._position[...], self._wxyz[...] = target.position_m, target.wxyz
         self._velocity[...] = target.velocity_m_s
         self._turn[...] = target.angular_velocity_rad_s
-        asked = gain, catch_up_m_s, free_rotation
+        asked = gain, dt_s, catch_up_m_s, free_rotation
         if asked != self._asked:
             self._asked = asked
-            self._settings[...] = gain, self._dt_s, catch_up_m_s, TURN_LENGTH_M_PER_RAD
+            self._settings[...] = gain, dt_s, catch_up_m_s, TURN_LENGTH_M_PER_RAD
             self._free[0] = free_rotation
         self._aim.run()
         if self._aim.done() != DONE:

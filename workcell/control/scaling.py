@@ -239,6 +239,10 @@ class FactorGovernor:
         """The factor granted last, in [0, 1]."""
         return self._previous
 
+    def reset(self) -> None:
+        """Start from 0 again, as after a halt."""
+        self._previous = 0.0
+
     def resume(self, factor: float) -> None:
         """Go on from a factor that was granted without being asked for here."""
         self._previous = factor

@@ -205,20 +205,17 @@ class Share:
         artc = criteria.artc_approaching if approaching else criteria.artc_signed
         return artc(distance, rate), criteria.armd(distance)
 
-    def ways(self, settings: Control) -> int:
-        """On how many of the others' ways the arm counts; on none where the others are taken as standing."""
-        if not self.support:
-            return 1
-        return 0 if settings.variant == "static" else WAYS
-
-    def count_on_others(self, settings: Control) -> None:
+    def count_on_others(self, *, static: bool) -> None:
         """Take `other_m_s` from what the other arms may be counted on to do.
 
         A support arm counts on the least favourable of their ways, as they may be kept from doing at
-        once what is asked of them; a priority arm on what they were commanded.
+        once what is asked of them; a priority arm on what they were commanded. Static: they stand.
         """
-        ways = self.watched.ways_rad_s[: self.ways(settings)] * self._foreign
-        self.other_m_s[...] = (self.watched.jacobian @ ways.T).min(axis=1) if len(ways) else 0.0
+        ways = self.watched.ways_rad_s[: WAYS if self.support else 1] * self._foreign
+        if static:
+            self.other_m_s[...] = 0.0
+        else:
+            self.other_m_s[...] = (self.watched.jacobian @ ways.T).min(axis=1)
 
     def solve(
         self,
@@ -240,7 +237,8 @@ class Share:
         Raises:
             FloatingPointError: a number is not finite.
         """
-        self.count_on_others(settings)
+        static = self.support and settings.variant == "static"
+        self.count_on_others(static=static)
         objective = self._criterion(qvel, settings) if push is None else push
         rows, allowed = self.self_motion_rows(task_rad_s, settings)
         return self.ik.solve(self._configuration, previous_rad_s, objective, rows, allowed)

@@ -14,6 +14,11 @@ from workcell.motion.jobs import Meeting
 from workcell.scene.cell import Cell
 
 
+def silent_pairs(cell: Cell, grasps: Grasps) -> NDArray[np.bool_]:
+    """(P,) pairs that no arm's motion changes, or that do not count now: an instrument against the hand that holds it."""
+    return np.array([not grasps.parties(k) for k in range(len(cell.pairs))], dtype=bool)
+
+
 def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> list[ArmPairs]:
     """Which pairs concern each arm, in the order of the arms.
 

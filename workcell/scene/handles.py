@@ -115,12 +115,6 @@ def arm_handles(model: mujoco.MjModel, scenario: Scenario) -> tuple[ArmHandles, 
     return tuple(arms)
 
 
-def as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """The same entries as a slice where they follow one another: it takes no copy and is ten times as fast to write to."""
-    first, count = int(indices[0]), len(indices)
-    return slice(first, first + count) if (np.diff(indices) == 1).all() else indices
-
-
 def arm_of_geom(model: mujoco.MjModel, geom: int, arms: tuple[str, ...]) -> str | None:
     """Name of the arm a geom belongs to, None for the static surroundings."""
     owner, slash, _ = model.geom(geom).name.partition("/")
