@@ -23,7 +23,7 @@ from workcell import assets, cli
 from workcell import run as runner
 from workcell.control.controller import Controller
 from workcell.errors import InputError
-from workcell.guard.orders import check_settings
+from workcell.guard.check_setup import check_settings
 from workcell.scene.compose import SCENE_FILE
 from workcell.study.contact import ContactJudge
 from workcell.trace.table import load

@@ -95,7 +95,7 @@ def test_without_the_check_the_run_says_so(tmp_path):
     ids=["equal", "unequal", "within", "beyond", "misspelt", "without a value"],
 )
 def test_expectations_are_judged(twice, expect, held):
-    from workcell.expect import judge
+    from workcell.trace.expectations import judge
 
     metrics = json.loads((twice[0] / "summary.json").read_text())["metrics"]
     content = cells.duet() | {"expect": expect}

@@ -26,21 +26,21 @@ import numpy as np
 
 from workcell.control import feasible
 from workcell.control.controller import Controller
-from workcell.control.grasp import hand_bodies
 from workcell.control.kernels import library
 from workcell.errors import ControlFault, InputError
-from workcell.expect import judge
+from workcell.guard.check_setup import check_settings, refusal, without_geometry
 from workcell.guard.monitor import FinalCheck
-from workcell.guard.orders import check_settings, refusal, without_geometry
 from workcell.guard.supervisor import LatchedCheck
-from workcell.plant import Measurement
 from workcell.scenario import Exchange, Fetch, Live, Meet, Put, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
+from workcell.scene.contacts import hand_bodies
 from workcell.signals import Layout
+from workcell.simulation.measurement import Measurement
 from workcell.trace import metrics
-from workcell.trace.room import check_room, check_writable
+from workcell.trace.expectations import judge
+from workcell.trace.preflight import check_space, check_writable
 from workcell.trace.table import FLUSH_S, Trace, TraceWriter, load
 
 SCENARIO_FILE = "scenario.toml"
@@ -98,7 +98,7 @@ def run(
     _refuse_live(scenario)
     check_writable(out)
     cell = prepare(scenario, out / SCENE_FOLDER)
-    check_room(out, layout(cell), scenario.ticks)
+    check_space(out, layout(cell), scenario.ticks)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     (out / ORIGIN_FILE).write_text(json.dumps(origin(cell), indent=2) + "\n", encoding="utf-8")
     ending = simulate(cell, out, progress=progress)
@@ -197,9 +197,8 @@ def final_check(cell: Cell, out: Path) -> Iterator[LatchedCheck | None]:
 
 def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
     """Judge the trace, write the summary and derive the recording."""
-    from workcell.trace import (
-        view,
-    )  # rerun takes half a second to import, which `check` need not wait for
+    # rerun takes half a second to import, which `check` need not wait for
+    from workcell.view import recording as view
 
     trace = load(out)
     summary = summarise(cell, trace, ending)
@@ -212,7 +211,7 @@ def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
 
 def rebuild_recording(out: Path) -> Path:
     """The recording of a run folder, derived anew where it is missing or from another rerun version."""
-    from workcell.trace import view
+    from workcell.view import recording as view
 
     recording, trace = out / RECORDING_FILE, load(out)
     if not recording.is_file() or not view.is_current(recording, trace):

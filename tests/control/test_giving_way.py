@@ -181,7 +181,7 @@ def test_of_two_support_arms_the_one_that_comes_answers_near_a_base(tmp_path):
         | {"name": "assistant", "base_position_m": [0.0, -0.9, 0.0], "priority": 2}
     )
     cell = cells.build(tmp_path, content)
-    arms = {arm.handles.name: arm for arm in Controller(cell)._arms}
+    arms = {arm.addresses.name: arm for arm in Controller(cell)._arms}
     owned = {
         name: {cell.pairs.names[k] for k in arm.share.pairs.owned} for name, arm in arms.items()
     }

@@ -446,7 +446,7 @@ def stages(cell):
     """The nurse's share in compiled code, and what it stands for in NumPy, on the same pairs."""
     controller = Controller(cell)
     controller.step(*_home(cell))
-    arms = {arm.handles.name: arm for arm in controller._arms}
+    arms = {arm.addresses.name: arm for arm in controller._arms}
     return controller, arms
 
 
@@ -510,7 +510,7 @@ def test_a_whole_stage_does_what_numpy_says(
         update={"criterion": criterion, "variant": variant, "slow_down": slow_down}
     )
     qpos = _home(cell)[0]
-    qpos[arm.handles.qpos] = _near_stops(random, arm.handles)
+    qpos[arm.addresses.qpos] = _near_stops(random, arm.addresses)
     belief.update(qpos)
     _muddle(random, watched)
     mine = arm.share

@@ -10,7 +10,7 @@ import pytest
 from workcell.guard import CheckState, HaltLatch, Verdict, brake
 from workcell.guard.checker import Checker
 from workcell.guard.judge import judge
-from workcell.guard.link import Request
+from workcell.guard.shared_memory import Request
 
 from .cell import PERIOD_S, random_pose, settings, write_scene
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.guard.checker import Checker
-from workcell.guard.link import CLOSED, NOBODY, Answer, Request
 from workcell.guard.settings import CheckSettings, Exemption, Held
+from workcell.guard.shared_memory import CLOSED, NOBODY, Answer, Request
 
 from .cell import ARM, CLEAR_POSE, CRASH_POSE, PERIOD_S, scene_text, settings, write_scene
 

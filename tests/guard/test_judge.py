@@ -9,7 +9,7 @@ import pytest
 
 from workcell.guard import CheckState, Exemption, Verdict
 from workcell.guard.judge import judge
-from workcell.guard.link import Answer
+from workcell.guard.shared_memory import Answer
 
 from .cell import settings
 

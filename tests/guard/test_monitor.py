@@ -13,7 +13,7 @@ import pytest
 from workcell.errors import InputError
 from workcell.guard import CheckSettings, CheckState, Exemption, FinalCheck
 from workcell.guard.checker import Checker
-from workcell.guard.link import CLOSED, Request
+from workcell.guard.shared_memory import CLOSED, Request
 
 from .cell import (
     ARM,

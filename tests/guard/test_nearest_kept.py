@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from workcell.guard.checker import Checker
 from workcell.guard.geometry import Geometry
-from workcell.guard.link import CLOSED, NOBODY, Request
 from workcell.guard.nearest import NearestSearch
 from workcell.guard.pairs import PairTable
 from workcell.guard.settings import CheckSettings, Exemption, Held
+from workcell.guard.shared_memory import CLOSED, NOBODY, Request
 
 from .cell import ARM, CRASH_POSE, random_pose, scene_text, write_scene
 from .cell import settings as check_settings

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from workcell.guard import CheckSettings, CheckState, FinalCheck
 from workcell.guard.checker import Checker
-from workcell.guard.link import Request
+from workcell.guard.shared_memory import Request
 
 from .coal_shapes import shape_of, smallest_distance_m
 

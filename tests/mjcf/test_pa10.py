@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_arms import ARMS, load, margins_m, tracking_errors_rad
+
+from tests.mjcf.test_arms import ARMS, load, margins_m, tracking_errors_rad
 
 PA10 = next(path for path in ARMS if path.stem == "pa10")
 JOINTS = ["S1", "S2", "S3", "E1", "E2", "W1", "W2"]

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests import cells
-from workcell import replay
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.errors import InputError
-from workcell.operator_file import REPLAY_FILE, write_replay
-from workcell.steering import Keys
-from workcell.trace.compare import compare, excerpt
-from workcell.trace.reference import states
+from workcell.live.devices import Keys
+from workcell.live.operator_file import REPLAY_FILE, write_replay
+from workcell.regression import replay
+from workcell.regression.compare import compare, excerpt
+from workcell.regression.reference import states
 from workcell.trace.table import load
 
 LEFT_KEY, RIGHT_KEY, ABOVE_KEY = 321, 323, 325

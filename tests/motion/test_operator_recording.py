@@ -9,8 +9,14 @@ import pytest
 
 from workcell import scenario
 from workcell.errors import InputError
+from workcell.motion.operators.recording import (
+    POSE_COLUMNS,
+    RecordingOperator,
+    Samples,
+    read,
+    write,
+)
 from workcell.motion.orientation import rotation_between
-from workcell.motion.recording import POSE_COLUMNS, RecordingOperator, Samples, read, write
 
 HOME = np.array([0.4, 0.5, 0.4])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -33,7 +39,7 @@ def play(path, duration_s=2.5, **settings):
     full = scenario.Recording.model_validate({"kind": "recording", "file": str(path), **settings})
     operator = RecordingOperator(full, HOME, UPRIGHT, period_s=PERIOD_S)
     times = np.arange(round(duration_s / PERIOD_S)) * PERIOD_S
-    return times, [operator.wish(float(t)) for t in times]
+    return times, [operator.setpoint(float(t)) for t in times]
 
 
 def table(samples: Samples) -> dict[str, list]:
@@ -73,43 +79,43 @@ def test_parquet_is_as_good_as_csv(tmp_path):
 @pytest.mark.parametrize("rate_hz", [20.0, 50.0, 333.0, 1000.0])
 def test_any_rate_is_followed(tmp_path, rate_hz):
     samples = circle(rate_hz)
-    _, wishes = play(write(tmp_path / "hand.csv", samples), 1.9)
+    _, setpoints = play(write(tmp_path / "hand.csv", samples), 1.9)
     truth = circle(1 / PERIOD_S)
     error = [
         np.linalg.norm(w.target.position_m - p)
-        for w, p in zip(wishes, truth.position_m, strict=False)
+        for w, p in zip(setpoints, truth.position_m, strict=False)
     ]
     turn = [
         np.linalg.norm(rotation_between(w.target.wxyz, q))
-        for w, q in zip(wishes, truth.wxyz, strict=False)
+        for w, q in zip(setpoints, truth.wxyz, strict=False)
     ]
     assert max(error) < 5e-4
     assert max(turn) < 5e-3
-    assert {w.state for w in wishes} == {"valid"}
+    assert {w.state for w in setpoints} == {"valid"}
 
 
 def test_a_recording_of_ticks_passes_to_the_last_bit(tmp_path):
     samples = circle(1 / PERIOD_S, twist=True)
-    _, wishes = play(write(tmp_path / "hand.csv", samples), 1.9)
-    for k, wish in enumerate(wishes):
-        assert np.array_equal(wish.target.position_m, samples.position_m[k])
-        assert np.array_equal(wish.target.velocity_m_s, samples.twist[k, :3])
+    _, setpoints = play(write(tmp_path / "hand.csv", samples), 1.9)
+    for k, setpoint in enumerate(setpoints):
+        assert np.array_equal(setpoint.target.position_m, samples.position_m[k])
+        assert np.array_equal(setpoint.target.velocity_m_s, samples.twist[k, :3])
 
 
 def test_the_arm_stands_over_a_gap_and_comes_back_without_a_leap(tmp_path):
     samples = circle()
     keep = (samples.time_s < 0.8) | (samples.time_s > 1.4)
     cut = Samples(samples.time_s[keep], samples.position_m[keep], samples.wxyz[keep], None)
-    times, wishes = play(write(tmp_path / "hand.csv", cut), 2.6, max_speed_m_s=0.2)
-    states = np.array([w.state for w in wishes])
+    times, setpoints = play(write(tmp_path / "hand.csv", cut), 2.6, max_speed_m_s=0.2)
+    states = np.array([w.state for w in setpoints])
     inside = (times > 0.9) & (times < 1.35)
     assert set(states[inside]) == {"gap"}
     before = cut.position_m[np.searchsorted(cut.time_s, 0.8) - 1]
-    path = np.array([w.target.position_m for w in wishes])
+    path = np.array([w.target.position_m for w in setpoints])
     assert np.abs(path[(times > 1.3) & (times < 1.35)] - before).max() < 2e-3
     assert "catching_up" in states
     assert states[-1] == "ended"
-    assert_no_leap(wishes, 0.2, 2.0)
+    assert_no_leap(setpoints, 0.2, 2.0)
     assert path[-1] == pytest.approx(cut.position_m[-1], abs=1e-3)
 
 
@@ -117,20 +123,20 @@ def test_a_jump_is_crossed_at_limited_speed(tmp_path):
     samples = circle()
     moved = samples.position_m + np.where(samples.time_s > 1.0, 0.15, 0.0)[:, None]
     path = write(tmp_path / "hand.csv", Samples(samples.time_s, moved, samples.wxyz, None))
-    _, wishes = play(path, 2.8, max_speed_m_s=0.25, max_acceleration_m_s2=1.5)
-    assert {"jump", "catching_up"} <= {w.state for w in wishes}
-    assert_no_leap(wishes, 0.25, 1.5)
-    assert wishes[-1].target.position_m == pytest.approx(moved[-1], abs=1e-3)
+    _, setpoints = play(path, 2.8, max_speed_m_s=0.25, max_acceleration_m_s2=1.5)
+    assert {"jump", "catching_up"} <= {w.state for w in setpoints}
+    assert_no_leap(setpoints, 0.25, 1.5)
+    assert setpoints[-1].target.position_m == pytest.approx(moved[-1], abs=1e-3)
 
 
 def test_before_it_starts_the_arm_waits(tmp_path):
-    times, wishes = play(write(tmp_path / "hand.csv", circle()), 1.0, start_s=0.5)
-    assert {w.state for w, t in zip(wishes, times, strict=True) if t < 0.49} == {"waiting"}
-    assert np.array_equal(wishes[100].target.position_m, HOME)
+    times, setpoints = play(write(tmp_path / "hand.csv", circle()), 1.0, start_s=0.5)
+    assert {w.state for w, t in zip(setpoints, times, strict=True) if t < 0.49} == {"waiting"}
+    assert np.array_equal(setpoints[100].target.position_m, HOME)
 
 
-def assert_no_leap(wishes, speed, acceleration):
-    path = np.array([w.target.position_m for w in wishes])
+def assert_no_leap(setpoints, speed, acceleration):
+    path = np.array([w.target.position_m for w in setpoints])
     velocity = np.diff(path, axis=0) / PERIOD_S
     assert np.linalg.norm(velocity, axis=1).max() <= speed * 1.001
     # A target that passes unchanged may differ by one more tick's worth of acceleration.

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workcell import scenario
-from workcell.motion.live import LiveOperator
-from workcell.motion.samples import Sample
-from workcell.motion.wish import STATES
+from workcell.motion.operators.live import LiveOperator
+from workcell.motion.operators.samples import Sample
+from workcell.motion.setpoint import STATES
 
 HOME = np.array([0.4, 0.5, 0.4])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -48,9 +48,9 @@ class Stream:
                 made = sample(t)
                 if made is not None:
                     self.operator.offer(made)
-            wish = self.operator.wish(t)
-            self.states.append(wish.state)
-            self.path.append(wish.target.position_m)
+            setpoint = self.operator.setpoint(t)
+            self.states.append(setpoint.state)
+            self.path.append(setpoint.target.position_m)
             self.tick += 1
         return self
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from workcell import scenario
-from workcell.motion.human import TREMOR_HZ, HumanOperator
-from workcell.motion.operator import make_operator
+from workcell.motion.operators import make_operator
+from workcell.motion.operators.human import TREMOR_HZ, HumanOperator
 from workcell.motion.orientation import rotation_between
 
 HOME = np.array([0.4, 0.5, 0.4])
@@ -25,7 +25,7 @@ def make(settings, seed=0, name="surgeon"):
 
 
 def positions(operator, times):
-    return np.array([operator.wish(t).target.position_m for t in times])
+    return np.array([operator.setpoint(t).target.position_m for t in times])
 
 
 def test_a_person_is_the_same_for_the_same_seed_and_arm_only():
@@ -39,12 +39,14 @@ def test_a_person_is_the_same_for_the_same_seed_and_arm_only():
 def test_a_person_moves_alike_however_often_it_is_asked():
     often, seldom = make(human()), make(human())
     for t in np.arange(0.0, 15.0, 0.002):
-        often.wish(t)
-    assert np.array_equal(often.wish(15.0).target.position_m, seldom.wish(15.0).target.position_m)
+        often.setpoint(t)
+    assert np.array_equal(
+        often.setpoint(15.0).target.position_m, seldom.setpoint(15.0).target.position_m
+    )
 
 
 def test_a_person_starts_at_rest_where_the_tool_is():
-    target = make(human()).wish(0.0).target
+    target = make(human()).setpoint(0.0).target
     assert np.array_equal(target.position_m, HOME)
     assert np.array_equal(target.wxyz, UPRIGHT)
     assert not target.velocity_m_s.any()
@@ -55,7 +57,7 @@ def test_the_twist_of_a_person_is_the_derivative_of_the_pose(tremor_m):
     operator = make(human(tremor_m=tremor_m, withdraw_probability=0.5))
     step = 1e-6
     for t in np.arange(0.013, 12.0, 0.0917):
-        before, here, after = (operator.wish(t + d).target for d in (-step, 0.0, step))
+        before, here, after = (operator.setpoint(t + d).target for d in (-step, 0.0, step))
         velocity = (after.position_m - before.position_m) / (2 * step)
         turn = rotation_between(before.wxyz, after.wxyz) / (2 * step)
         assert here.velocity_m_s == pytest.approx(velocity, abs=1e-5)
@@ -67,9 +69,9 @@ def test_a_person_keeps_to_its_speeds_and_does_all_it_can_do():
     operator = make(settings)
     done: dict[str, float] = {}
     for t in np.arange(0.0, 120.0, 0.03):
-        wish = operator.wish(t)
-        speed = float(np.linalg.norm(wish.target.velocity_m_s))
-        done[wish.doing] = max(done.get(wish.doing, 0.0), speed)
+        setpoint = operator.setpoint(t)
+        speed = float(np.linalg.norm(setpoint.target.velocity_m_s))
+        done[setpoint.doing] = max(done.get(setpoint.doing, 0.0), speed)
     assert set(done) == {"reach", "pause", "withdraw", "elbow_shift"}
     assert done["pause"] == done["elbow_shift"] == 0.0
     assert done["reach"] <= settings.speed_m_s
@@ -82,8 +84,8 @@ def test_starts_and_stops_break_a_reach_off_on_its_way():
     def rests_between(stop_probability):
         settings = human(tremor_m=0.0, stop_probability=stop_probability, withdraw_probability=0.0)
         operator = make(settings)
-        wishes = [operator.wish(t) for t in np.arange(1.0, 60.0, 0.05)]
-        rests = [w.target.position_m for w in wishes if w.doing == "pause"]
+        setpoints = [operator.setpoint(t) for t in np.arange(1.0, 60.0, 0.05)]
+        rests = [w.target.position_m for w in setpoints if w.doing == "pause"]
         return [p for p in rests if np.linalg.norm(sites - p, axis=1).min() > 1e-3]
 
     assert len(rests_between(0.0)) == 0
@@ -105,7 +107,7 @@ def test_tremor_has_its_amplitude_and_its_band():
 def test_an_elbow_swing_covers_its_way_and_comes_back():
     operator = make(human(elbow_probability=1.0, elbow_shift_m=0.05))
     times = np.arange(0.0, 30.0, 0.002)
-    swung = np.cumsum([operator.wish(t).elbow_speed_m_s * 0.002 for t in times])
+    swung = np.cumsum([operator.setpoint(t).elbow_speed_m_s * 0.002 for t in times])
     assert swung.max() == pytest.approx(0.05, rel=1e-2)
     assert swung.min() == pytest.approx(0.0, abs=1e-3)
 
@@ -123,9 +125,9 @@ def test_sweeps_go_back_and_forth_between_first_and_last_waypoint():
         }
     )
     operator = make(settings)
-    wishes = [operator.wish(t).target for t in np.arange(0.0, 20.0, 0.01)]
-    path = np.array([w.position_m for w in wishes])
-    speed = np.array([np.linalg.norm(w.velocity_m_s) for w in wishes])
+    setpoints = [operator.setpoint(t).target for t in np.arange(0.0, 20.0, 0.01)]
+    path = np.array([w.position_m for w in setpoints])
+    speed = np.array([np.linalg.norm(w.velocity_m_s) for w in setpoints])
     assert path[-1] == pytest.approx(ends[0], abs=1e-6)  # there, back, there, back: 3 repeats
     # The approach is a spline through both waypoints; the sweeps after it are straight lines.
     assert speed[len(speed) // 4 :].max() == pytest.approx(0.25, rel=1e-6)
@@ -140,10 +142,10 @@ def test_one_waypoint_sweeps_between_it_and_the_start():
     settings = scenario.Waypoints.model_validate(
         {"kind": "waypoints", "waypoints": [{"position_m": [0.1, 0.5, 0.4]}], "repeat": 1}
     )
-    assert make(settings).wish(60.0).target.position_m == pytest.approx(HOME, abs=1e-9)
+    assert make(settings).setpoint(60.0).target.position_m == pytest.approx(HOME, abs=1e-9)
 
 
 def test_a_person_at_a_single_site_works_on():
     settings = human(sites=[{"position_m": [0.4, 0.6, 0.4]}], stop_probability=0.0)
     operator = HumanOperator(settings, HOME, UPRIGHT, np.random.default_rng(0))
-    assert operator.wish(30.0).target.position_m == pytest.approx([0.4, 0.6, 0.4], abs=0.11)
+    assert operator.setpoint(30.0).target.position_m == pytest.approx([0.4, 0.6, 0.4], abs=0.11)

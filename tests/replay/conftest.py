@@ -6,11 +6,11 @@ from typing import NamedTuple
 import pytest
 
 from tests import cells
-from workcell import regression
 from workcell import run as runner
 from workcell import scenario as scenario_file
+from workcell.regression import bless as regression
+from workcell.regression.reference import States, states
 from workcell.scene.cell import Cell
-from workcell.trace.reference import States, states
 from workcell.trace.table import Trace, load
 
 OVERRIDES = ("simulation.period_s=0.02",)

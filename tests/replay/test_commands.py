@@ -7,13 +7,13 @@ import pytest
 
 from tests import cells
 from tests.replay.conftest import duet_content
-from tests.trace.viewer import NoDriver, look
-from workcell import regression
+from tests.view.viewer import NoDriver, look
 from workcell.cli import main
 from workcell.errors import InputError
-from workcell.trace.compare import compare, excerpt
+from workcell.regression import bless as regression
+from workcell.regression.compare import compare, excerpt
+from workcell.regression.recording_of_both import record
 from workcell.trace.table import load
-from workcell.trace.view_both import record
 
 
 @pytest.fixture(scope="module")

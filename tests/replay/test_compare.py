@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from workcell.regression.compare import RESTING_PER_S, compare, excerpt
+from workcell.regression.reference import read_rows, reference_ticks, write_rows
 from workcell.signals import columns
-from workcell.trace.compare import RESTING_PER_S, compare, excerpt
-from workcell.trace.reference import read_rows, reference_ticks, write_rows
 
 
 @pytest.fixture(scope="session")

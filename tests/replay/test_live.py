@@ -5,11 +5,11 @@ import numpy as np
 
 from tests import cells
 from tests.replay.conftest import duet_content
-from workcell import replay
 from workcell import run as runner
-from workcell.motion.samples import Sample
-from workcell.trace.compare import compare, excerpt
-from workcell.trace.reference import states
+from workcell.motion.operators.samples import Sample
+from workcell.regression import replay
+from workcell.regression.compare import compare, excerpt
+from workcell.regression.reference import states
 from workcell.trace.table import load
 
 

@@ -9,13 +9,14 @@ import types
 import numpy as np
 import pytest
 
-from workcell import regression, replay
 from workcell.control import controller as module
 from workcell.control.compiled import CompiledShare
 from workcell.control.controller import Controller
 from workcell.control.proximity import PairGeometry
 from workcell.control.share import Share
-from workcell.trace.compare import compare, excerpt
+from workcell.regression import bless as regression
+from workcell.regression import replay
+from workcell.regression.compare import compare, excerpt
 
 
 def in_both(monkeypatch, name, change):

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from workcell import assets, regression
+from workcell import assets
 from workcell import scenario as scenario_file
-from workcell.trace.compare import settings_changes
+from workcell.regression import bless as regression
+from workcell.regression.compare import settings_changes
 
 REFERENCES = Path(__file__).parent / "references"
 NAMES = regression.names(REFERENCES)

@@ -10,7 +10,7 @@ from dm_control import mjcf
 
 from workcell import assets
 from workcell.scenario import Scenario
-from workcell.scene.handles import ArmHandles
+from workcell.scene.addresses import ArmAddresses
 
 
 def scene_xml(scenario: Scenario, pairs: tuple[tuple[str, str], ...]) -> str:
@@ -93,7 +93,7 @@ def scene_xml(scenario: Scenario, pairs: tuple[tuple[str, str], ...]) -> str:
 
 
 def extremes(
-    model: mujoco.MjModel, arms: tuple[ArmHandles, ...], g: int, h: int, poses: int
+    model: mujoco.MjModel, arms: tuple[ArmAddresses, ...], g: int, h: int, poses: int
 ) -> tuple[float, float]:
     """Smallest and largest distance of two geoms over home and the first of the sampled poses."""
     data = mujoco.MjData(model)

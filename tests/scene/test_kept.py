@@ -16,13 +16,13 @@ from lxml import etree
 
 from tests import cells
 from tests.scene import plain
+from tests.scene.test_addresses import own_model
 from tests.scene.test_compose import mixed
-from tests.scene.test_handles import own_model
 from workcell import assets, scenario
 from workcell.errors import InputError
 from workcell.scene import cell as scene
 from workcell.scene import compose, pairs
-from workcell.scene.handles import arm_handles, instrument_handles
+from workcell.scene.addresses import arm_addresses, instrument_addresses
 from workcell.scene.pairs import APART_M, FEW_SAMPLES, SAMPLES
 
 # A tetrahedron.
@@ -198,8 +198,8 @@ def test_self_pairs_do_not_depend_on_what_was_prepared_before(tmp_path):
 def test_what_is_resolved_in_the_preview_holds_in_the_scene(tmp_path):
     asked = scenario.load("give_instrument")
     cell = scene.build(asked, tmp_path)
-    assert repr(arm_handles(cell.model, asked)) == repr(cell.arms)
-    assert instrument_handles(cell.model, asked) == cell.instruments
+    assert repr(arm_addresses(cell.model, asked)) == repr(cell.arms)
+    assert instrument_addresses(cell.model, asked) == cell.instruments
     preview = compose.preview(compose.compose(asked))
     for field in ("geom_size", "geom_pos", "body_pos", "body_inertia", "jnt_range", "site_pos"):
         np.testing.assert_array_equal(getattr(preview, field), getattr(cell.model, field))

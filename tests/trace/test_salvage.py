@@ -7,10 +7,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from workcell.errors import TraceError
-from workcell.trace import table, view
+from workcell.trace import table
 from workcell.trace.journal import JournalReader, JournalWriter
 from workcell.trace.salvage import salvage
 from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, convert, load
+from workcell.view import recording as view
 
 RECORDING = "recording.rrd"
 BATCH = 100

@@ -40,10 +40,10 @@ from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
 from workcell.motion.jobs import Instrument, JobSequence, Surroundings
 from workcell.motion.path import standing
-from workcell.motion.wish import Operator
+from workcell.motion.setpoint import Operator
 from workcell.scenario import Control
+from workcell.scene.addresses import InstrumentAddresses
 from workcell.scene.cell import Cell
-from workcell.scene.handles import InstrumentHandles
 
 SELF_MOTION_RAD_S = 0.01
 """Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
@@ -86,11 +86,11 @@ class Controller:
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
         )
         self.grasps = Grasps(cell, self._belief.data)
-        self._arms = [ControlledArm(cell, handles, self._belief) for handles in cell.arms]
-        self._base_position_m = {arm.handles.name: arm.base_position_m for arm in self._arms}
+        self._arms = [ControlledArm(cell, addresses, self._belief) for addresses in cell.arms]
+        self._base_position_m = {arm.addresses.name: arm.base_position_m for arm in self._arms}
         self._priority = [arm for arm in self._arms if not arm.support]
         self._support = sorted(
-            (arm for arm in self._arms if arm.support), key=lambda arm: arm.handles.priority
+            (arm for arm in self._arms if arm.support), key=lambda arm: arm.addresses.priority
         )
         self._watched = _watched(cell)
         self._share_pairs()
@@ -101,11 +101,11 @@ class Controller:
     @property
     def operators(self) -> dict[str, Operator]:
         """The operators by the name of their arm."""
-        return {arm.handles.name: arm.operator for arm in self._arms if arm.operator is not None}
+        return {arm.addresses.name: arm.operator for arm in self._arms if arm.operator is not None}
 
     def drive(self, arm: str, operator: Operator) -> None:
         """Put another operator in the place of an arm's own: a replay does so for one who was live."""
-        next(a for a in self._arms if a.handles.name == arm).operator = operator
+        next(a for a in self._arms if a.addresses.name == arm).operator = operator
 
     @property
     def settings(self) -> Control:
@@ -152,8 +152,8 @@ class Controller:
         self.step(qpos, qvel)
         encoders = np.asarray(data.qpos)
         for arm in self._arms:
-            if arm.servo.write(data, encoders[arm.handles.qpos], arm.command_rad_s):
-                record = self.record.arms[arm.handles.name]
+            if arm.servo.write(data, encoders[arm.addresses.qpos], arm.command_rad_s):
+                record = self.record.arms[arm.addresses.name]
                 record.reason = record.reason or "servo_lag"
 
     def step(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> TickRecord:
@@ -221,15 +221,15 @@ class Controller:
             command_rad_s=np.zeros(model.nv),
         )
         for arm in self._arms:
-            record.arms[arm.handles.name] = self._look_at(arm)
+            record.arms[arm.addresses.name] = self._look_at(arm)
         return record
 
     def _look_at(self, arm: ControlledArm) -> ArmRecord:
-        handles, wxyz = arm.handles, np.empty(4)
+        addresses, wxyz = arm.addresses, np.empty(4)
         mujoco.mj_objectVelocity(
-            self.cell.model, self._belief.data, _SITE, handles.tool_site, self._twist, 0
+            self.cell.model, self._belief.data, _SITE, addresses.tool_site, self._twist, 0
         )
-        mujoco.mju_mat2Quat(wxyz, self._site_xmat[handles.tool_site])
+        mujoco.mju_mat2Quat(wxyz, self._site_xmat[addresses.tool_site])
         artc, armd = arm.share.surroundings(
             approaching=self._settings.criterion == "artc_approaching"
         )
@@ -240,14 +240,14 @@ class Controller:
             target_turn_rad_s=arm.target.angular_velocity_rad_s,
             job="",
             path_s=0.0,
-            tool_position_m=self._site_xpos[handles.tool_site].copy(),
+            tool_position_m=self._site_xpos[addresses.tool_site].copy(),
             tool_wxyz=wxyz,
             tool_speed_m_s=math.hypot(*self._twist[3:].tolist()),
             tool_error_m=0.0,
             tool_error_rad=0.0,
             elbow_position_m=None
-            if handles.elbow_site is None
-            else self._site_xpos[handles.elbow_site].copy(),
+            if addresses.elbow_site is None
+            else self._site_xpos[addresses.elbow_site].copy(),
             artc_per_s=artc,
             armd_per_m=armd,
         )
@@ -261,9 +261,9 @@ class Controller:
         if self._check.halted:
             for arm in self._arms:
                 if self._stops(arm):
-                    row = record.arms[arm.handles.name]
+                    row = record.arms[arm.addresses.name]
                     self._check.observe(
-                        record.tick, arm.handles.name, row.tool_speed_m_s, record.qvel[arm.dofs]
+                        record.tick, arm.addresses.name, row.tool_speed_m_s, record.qvel[arm.dofs]
                     )
 
     def _stops(self, arm: ControlledArm) -> bool:
@@ -276,14 +276,14 @@ class Controller:
         """The way to rest after the final check's halt: along the last motion, as hard as the joints can."""
         arm.factor = 0.0
         arm.wanted_rad_s = arm.command_rad_s = brake(
-            arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt
+            arm.command_rad_s, arm.addresses.acceleration_limit_rad_s2, self._dt
         )
         row.scale, row.reason, row.mode, row.ik_status = 0.0, "check", "halt", "not_solved"
 
     def _follow(self, record: TickRecord) -> None:
         """Advance every driver and hand its target to the inverse kinematics."""
         for arm in self._arms:
-            row = record.arms[arm.handles.name]
+            row = record.arms[arm.addresses.name]
             if arm.jobs is not None:
                 if self.tick:
                     self._advance(arm, arm.jobs, record)
@@ -301,10 +301,10 @@ class Controller:
                     else:
                         arm.ladder.replanned()
             elif arm.operator is not None:
-                wish = arm.operator.wish(record.time_s)
-                arm.target = wish.target
-                row.job, row.path_s = wish.doing, record.time_s
-                row.operator_state, arm.elbow_speed_m_s = wish.state, wish.elbow_speed_m_s
+                setpoint = arm.operator.setpoint(record.time_s)
+                arm.target = setpoint.target
+                row.job, row.path_s = setpoint.doing, record.time_s
+                row.operator_state, arm.elbow_speed_m_s = setpoint.state, setpoint.elbow_speed_m_s
             self._aim(arm, row.job)
             row.target_position_m, row.target_wxyz = arm.target.position_m, arm.target.wxyz
             row.target_velocity_m_s = arm.target.velocity_m_s
@@ -329,13 +329,13 @@ class Controller:
                 arm.target.velocity_m_s,
                 arm.target.angular_velocity_rad_s,
             ):
-                self._finite(value, f"the tool target of arm {arm.handles.name} from {job}")
+                self._finite(value, f"the tool target of arm {arm.addresses.name} from {job}")
             raise ControlFault(self.tick, str(error)) from error
 
     def _advance(self, arm: ControlledArm, jobs: JobSequence, record: TickRecord) -> None:
         """Let an arm's jobs go on by the factor it was granted, and hand over what changes hands."""
         around = self._around(arm, record)
-        tool = record.arms[arm.handles.name].tool_position_m
+        tool = record.arms[arm.addresses.name].tool_position_m
         off_path = math.dist(tool.tolist(), arm.target.position_m.tolist())
         arm.held = off_path > REJOIN_M and arm.factor > 0.0 and not jobs.retreats
         jobs.advance(self._dt, 0.0 if arm.paused or arm.held else arm.factor, around)
@@ -358,7 +358,7 @@ class Controller:
             meeting_distance_m=self._meeting_distance_m(arm),
         )
 
-    def _instrument(self, item: InstrumentHandles) -> Instrument:
+    def _instrument(self, item: InstrumentAddresses) -> Instrument:
         data = self._belief.data
         return Instrument(
             data.xpos[item.body].copy(),
@@ -387,7 +387,7 @@ class Controller:
 
     def _steer(self, arm: ControlledArm, record: TickRecord) -> None:
         """A support arm: wanted velocity, then the largest factor that keeps every time to collision."""
-        row = record.arms[arm.handles.name]
+        row = record.arms[arm.addresses.name]
         if self._stops(arm):
             self._brake(arm, row)
             return
@@ -474,7 +474,7 @@ class Controller:
         before, wanted = arm.command_before_rad_s, arm.wanted_rad_s
         velocity = arm.ik.evade(self._belief, before, preferred_rad_s, rows, needed_m_s)
         if velocity is None:
-            velocity = brake(before, arm.handles.acceleration_limit_rad_s2, self._dt)
+            velocity = brake(before, arm.addresses.acceleration_limit_rad_s2, self._dt)
             if row is not None:
                 row.ik_status = "stopped"
         arm.command_rad_s = velocity
@@ -523,7 +523,7 @@ class Controller:
         preferred = np.zeros(len(arm.dofs)) if back is None else back * arm.wanted_rad_s
         velocity = arm.ik.evade(self._belief, arm.command_rad_s, preferred, rows, needed)
         if velocity is None:
-            velocity = brake(arm.command_rad_s, arm.handles.acceleration_limit_rad_s2, self._dt)
+            velocity = brake(arm.command_rad_s, arm.addresses.acceleration_limit_rad_s2, self._dt)
             row.ik_status = "stopped"
         arm.command_rad_s = arm.wanted_rad_s = velocity
         arm.governor.resume(0.0)
@@ -532,7 +532,7 @@ class Controller:
 
     def _give_way(self, arm: ControlledArm, record: TickRecord) -> None:
         """A priority arm: what its operator asks, plus self-motion that endangers nothing."""
-        row = record.arms[arm.handles.name]
+        row = record.arms[arm.addresses.name]
         if self._stops(arm):
             arm.command_rad_s = arm.wanted_rad_s
             self._brake(arm, row)
@@ -549,12 +549,12 @@ class Controller:
             record.command_rad_s[arm.columns] = arm.command_rad_s
         if not all_finite(record.command_rad_s):
             for arm in self._arms:
-                self._finite(arm.command_rad_s, f"the command of arm {arm.handles.name}")
+                self._finite(arm.command_rad_s, f"the command of arm {arm.addresses.name}")
         rates = self._watched.rates(record.command_rad_s)
         record.ttc_command_s = _or_none(rates.first.ttc_s)
         record.ttc_command_pair = None if rates.first.pair < 0 else rates.first.pair
         if rates.cause is not None:
-            record.closing_cause = self._arms[rates.cause].handles.name
+            record.closing_cause = self._arms[rates.cause].addresses.name
         record.mode = max((row.mode for row in record.arms.values()), key=MODES.index)
 
     # ---------------------------------------------------------------- parts of the stages
@@ -570,7 +570,7 @@ class Controller:
 
     def _push(self, arm: ControlledArm) -> NullspaceObjective | None:
         """What the arm's null space is for now instead of the scenario's criterion: its elbow to one side."""
-        if arm.handles.elbow_site is None:
+        if arm.addresses.elbow_site is None:
             return None
         if arm.attempt in ("elbow_left", "elbow_right"):
             side = 1.0 if arm.attempt == "elbow_left" else -1.0
@@ -580,7 +580,7 @@ class Controller:
     def _elbow_swing(self, arm: ControlledArm) -> NullspaceObjective:
         """Swing the elbow at the speed the operator wants, as far as the tool's task leaves it free."""
         row = self._elbow_row(arm)
-        tool = self._belief.get_frame_jacobian(arm.handles.tool_site_name, "site")[:, arm.dofs]
+        tool = self._belief.get_frame_jacobian(arm.addresses.tool_site_name, "site")[:, arm.dofs]
         free = row - np.linalg.pinv(tool, rcond=1e-3) @ (tool @ row)
         mobility = float(free @ free)
         if mobility < FIXED_ELBOW_M2 or arm.ik.criterion.gain == 0.0:
@@ -590,10 +590,10 @@ class Controller:
     def _elbow_row(self, arm: ControlledArm) -> NDArray[np.float64]:
         """(n,) speed of the elbow to the left, as seen from the base towards the tool, for each joint's."""
         model, data = self.cell.model, self._belief.data
-        elbow = arm.handles.elbow_site
+        elbow = arm.addresses.elbow_site
         body = model.site_bodyid[elbow]
         base = data.xpos[model.body_rootid[body]]
-        forward = data.site_xpos[arm.handles.tool_site] - base
+        forward = data.site_xpos[arm.addresses.tool_site] - base
         left = np.array([-forward[1], forward[0], 0.0])
         left /= max(float(np.linalg.norm(left)), 1e-9)
         jacobian = np.zeros((3, model.nv))

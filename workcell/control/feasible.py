@@ -21,10 +21,10 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import ArmIk, ToolTask
 from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
-from workcell.motion.operator import make_operator, path_through
+from workcell.motion.operators import make_operator, path_through
 from workcell.motion.path import PathGeometry, Target, standing
+from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
-from workcell.scene.handles import ArmHandles
 
 REACHED_M = 2e-3
 REACHED_RAD = 1e-2
@@ -47,29 +47,29 @@ def check(cell: Cell) -> None:
     """
     faults: list[str] = []
     belief = mink.Configuration(cell.model)
-    for arm, handles in zip(cell.scenario.arm, cell.arms, strict=True):
-        unreached = list(_out_of_reach(cell, arm, handles, belief))
+    for arm, addresses in zip(cell.scenario.arm, cell.arms, strict=True):
+        unreached = list(_out_of_reach(cell, arm, addresses, belief))
         # Where a path cannot be followed at all, no speed is worth a word.
-        faults += unreached or _too_fast(cell, arm, handles)
+        faults += unreached or _too_fast(cell, arm, addresses)
         if arm.job:
-            faults += _no_room_to_brake(cell, arm, handles, belief)
+            faults += _no_room_to_brake(cell, arm, addresses, belief)
     if faults:
         raise InputError(faults, file=cell.scenario.file)
 
 
 def _out_of_reach(
-    cell: Cell, arm: scenario.Arm, handles: ArmHandles, belief: mink.Configuration
+    cell: Cell, arm: scenario.Arm, addresses: ArmAddresses, belief: mink.Configuration
 ) -> Iterator[str]:
     """Follow the arm's waypoints from its home configuration, joint limits kept."""
     cell.place_home(belief.data)
     belief.update()
-    task = ToolTask(handles.tool_site_name, gain_per_s=1.0, dt_s=1.0)
-    pose = belief.get_transform_frame_to_world(handles.tool_site_name, "site")
+    task = ToolTask(addresses.tool_site_name, gain_per_s=1.0, dt_s=1.0)
+    pose = belief.get_transform_frame_to_world(addresses.tool_site_name, "site")
     position, wxyz = pose.translation(), pose.rotation().wxyz
     for key, waypoints in _waypoint_lists(arm):
         geometry = _curve(waypoints, tuple(position), tuple(wxyz))
         for s_m in np.linspace(0.0, geometry.length_m, 2 + int(geometry.length_m / _STEP_M)):
-            error = _move_to(belief, task, handles, standing(*geometry.pose(s_m)))
+            error = _move_to(belief, task, addresses, standing(*geometry.pose(s_m)))
             if np.linalg.norm(error[:3]) > REACHED_M or np.linalg.norm(error[3:]) > REACHED_RAD:
                 at = ", ".join(f"{x:.3f}" for x in geometry.pose(s_m)[0])
                 yield (
@@ -93,7 +93,7 @@ def _waypoint_lists(arm: scenario.Arm) -> Iterator[tuple[str, tuple[scenario.Way
 def _move_to(
     belief: mink.Configuration,
     task: ToolTask,
-    handles: ArmHandles,
+    addresses: ArmAddresses,
     pose: Target,
 ) -> NDArray[np.float64]:
     """Newton steps towards a pose, clipped to the joint ranges; returns the remaining tool error (6,)."""
@@ -102,12 +102,12 @@ def _move_to(
     for _ in range(_ITERATIONS):
         if np.abs(error).max() < REACHED_M / 10:
             break
-        step = np.linalg.lstsq(task.compute_jacobian(belief)[:, handles.dofs], -error, rcond=1e-3)[
-            0
-        ]
+        step = np.linalg.lstsq(
+            task.compute_jacobian(belief)[:, addresses.dofs], -error, rcond=1e-3
+        )[0]
         q = belief.data.qpos.copy()
-        q[handles.qpos] = np.clip(
-            q[handles.qpos] + np.clip(step, -0.2, 0.2), handles.lower_rad, handles.upper_rad
+        q[addresses.qpos] = np.clip(
+            q[addresses.qpos] + np.clip(step, -0.2, 0.2), addresses.lower_rad, addresses.upper_rad
         )
         belief.update(q)
         error = task.compute_error(belief)
@@ -124,14 +124,14 @@ def _curve(
     return path_through(waypoints, np.array(position_m), np.array(wxyz))
 
 
-def _too_fast(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[str]:
+def _too_fast(cell: Cell, arm: scenario.Arm, addresses: ArmAddresses) -> Iterator[str]:
     """An operator's waypoints at their speed, refused with the speed that would do."""
     operator = arm.operator
     if not isinstance(operator, scenario.Waypoints):
         return
-    if largest_lag(cell, handles, operator, quick=True).error_m <= LAG_M / 2:
+    if largest_lag(cell, addresses, operator, quick=True).error_m <= LAG_M / 2:
         return
-    lag = largest_lag(cell, handles, operator)
+    lag = largest_lag(cell, addresses, operator)
     if lag.error_m <= LAG_M:
         return
     advice = f"no lower speed mends that at acceleration_m_s2 = {operator.acceleration_m_s2:g}"
@@ -139,7 +139,7 @@ def _too_fast(cell: Cell, arm: scenario.Arm, handles: ArmHandles) -> Iterator[st
     for _ in range(_SPEED_TRIALS):
         speed *= _SLOWER
         slower = operator.model_copy(update={"speed_m_s": speed})
-        if largest_lag(cell, handles, slower).error_m <= LAG_M:
+        if largest_lag(cell, addresses, slower).error_m <= LAG_M:
             advice = f"{speed:.2g} m/s would do"
             break
     where = ", ".join(f"{x:.3f}" for x in lag.position_m)
@@ -160,13 +160,13 @@ class Lag:
 
 
 def largest_lag(
-    cell: Cell, handles: ArmHandles, operator: scenario.Waypoints, *, quick: bool = False
+    cell: Cell, addresses: ArmAddresses, operator: scenario.Waypoints, *, quick: bool = False
 ) -> Lag:
     """Follow an operator's waypoints as the controller would, nothing else in the cell and no self-motion wanted.
 
     Args:
         cell: Its arms.
-        handles: The arm.
+        addresses: The arm.
         operator: Whose waypoints are followed.
         quick: Solve the program only where a joint limit binds, else move as little as the tool needs, which
             is its answer but for `LEAST_MOTION_DAMPING`: half the time, and off by a hundred-thousandth at usual poses.
@@ -174,18 +174,18 @@ def largest_lag(
     belief = mink.Configuration(cell.model)
     cell.place_home(belief.data)
     belief.update()
-    pose = belief.get_transform_frame_to_world(handles.tool_site_name, "site")
+    pose = belief.get_transform_frame_to_world(addresses.tool_site_name, "site")
     start = pose.translation(), pose.rotation().wxyz
     step_s = max(_STEP_S, cell.period_s)
     control = cell.scenario.control
     ik = ArmIk(
-        handles,
+        addresses,
         nv=cell.model.nv,
         dt_s=step_s,
         task_gain_per_s=control.task_gain_per_s,
         criterion_gain=0.0,
     )
-    n = len(handles.dofs)
+    n = len(addresses.dofs)
     nothing = NullspaceObjective(np.zeros((n, n)), np.zeros(n))
     no_rows = np.zeros((0, n)), np.zeros(0)
     # One leg back and one forth are all there is: further ones repeat them.
@@ -193,8 +193,8 @@ def largest_lag(
     driver = make_operator(once, *start)
     velocity, worst = np.zeros(n), Lag(0.0, start[0])
     for k in range(round(_duration_s(once, *start) / step_s) + 1):
-        target = driver.wish(k * step_s).target
-        tool = belief.data.site_xpos[handles.tool_site]
+        target = driver.setpoint(k * step_s).target
+        tool = belief.data.site_xpos[addresses.tool_site]
         error_m = float(np.linalg.norm(tool - target.position_m))
         if error_m > worst.error_m:
             worst = Lag(error_m, target.position_m)
@@ -204,7 +204,7 @@ def largest_lag(
             allowed = ik.solve(belief, velocity, nothing, *no_rows).velocity_rad_s
         velocity = allowed
         q = belief.data.qpos.copy()
-        q[handles.qpos] += step_s * velocity
+        q[addresses.qpos] += step_s * velocity
         belief.update(q)
     return worst
 
@@ -221,7 +221,7 @@ def _duration_s(
 
 
 def _no_room_to_brake(
-    cell: Cell, arm: scenario.Arm, handles: ArmHandles, belief: mink.Configuration
+    cell: Cell, arm: scenario.Arm, addresses: ArmAddresses, belief: mink.Configuration
 ) -> Iterator[str]:
     control = cell.scenario.control
     speed = max(
@@ -234,7 +234,7 @@ def _no_room_to_brake(
     needed = smallest_t_min(
         cell.period_s + control.reaction_s,
         speed,
-        braking_deceleration_m_s2(cell, handles, belief),
+        braking_deceleration_m_s2(cell, addresses, belief),
         other_keeps_coming=others_move,
     )
     if control.t_min_s < needed:
@@ -244,13 +244,15 @@ def _no_room_to_brake(
         )
 
 
-def braking_deceleration_m_s2(cell: Cell, handles: ArmHandles, belief: mink.Configuration) -> float:
+def braking_deceleration_m_s2(
+    cell: Cell, addresses: ArmAddresses, belief: mink.Configuration
+) -> float:
     """Deceleration of the tool along its path that the joints can give in the least favourable of the six axis directions, at home."""
     cell.place_home(belief.data)
     belief.update()
-    jacobian = belief.get_frame_jacobian(handles.tool_site_name, "site")[:3, handles.dofs]
+    jacobian = belief.get_frame_jacobian(addresses.tool_site_name, "site")[:3, addresses.dofs]
     joint_rates = np.linalg.pinv(
         jacobian, rcond=1e-3
     )  # (n, 3): joint velocities for 1 m/s along each axis
     with np.errstate(divide="ignore"):
-        return float(np.min(handles.acceleration_limit_rad_s2[:, None] / np.abs(joint_rates)))
+        return float(np.min(addresses.acceleration_limit_rad_s2[:, None] / np.abs(joint_rates)))

@@ -14,16 +14,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.scene.addresses import ArmAddresses, InstrumentAddresses
 from workcell.scene.cell import Cell
-from workcell.scene.handles import ArmHandles, InstrumentHandles
-
-HAND_BODIES = 3
-"""The tool's body and the two links before it: what holds an instrument is not watched against it."""
+from workcell.scene.contacts import hand_bodies
 
 
 @dataclass(frozen=True)
 class _Grasp:
-    arm: ArmHandles
+    arm: ArmAddresses
     position_m: NDArray[np.float64]
     """(3,) of the instrument in the tool frame."""
     wxyz: NDArray[np.float64]
@@ -72,14 +70,14 @@ class Grasps:
 
     def take(self, instrument: str, arm: str, data: mujoco.MjData) -> None:
         """From now on the arm holds the instrument, where it is now."""
-        item, handles = self._items[instrument], self._arms[arm]
+        item, addresses = self._items[instrument], self._arms[arm]
         pose = data.qpos[item.qpos : item.qpos + 7].copy()
         position, wxyz = np.empty(3), np.empty(4)
-        tool_position, tool_wxyz = _tool_pose(data, handles)
+        tool_position, tool_wxyz = _tool_pose(data, addresses)
         back_position, back_wxyz = np.empty(3), np.empty(4)
         mujoco.mju_negPose(back_position, back_wxyz, tool_position, tool_wxyz)
         mujoco.mju_mulPose(position, wxyz, back_position, back_wxyz, pose[:3], pose[3:])
-        self._held[instrument] = _Grasp(handles, position, wxyz, _as_slice(handles.dofs))
+        self._held[instrument] = _Grasp(addresses, position, wxyz, _as_slice(addresses.dofs))
         self._tell()
 
     def let_go(self, instrument: str) -> None:
@@ -162,7 +160,7 @@ class Grasps:
         )
 
     def _follow(
-        self, data: mujoco.MjData, item: InstrumentHandles, grasp: _Grasp
+        self, data: mujoco.MjData, item: InstrumentAddresses, grasp: _Grasp
     ) -> NDArray[np.float64]:
         """(6, n): the velocities of the instrument's free joint per joint velocity of the arm that holds it.
 
@@ -191,19 +189,8 @@ def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
 
 
 def _tool_pose(
-    data: mujoco.MjData, arm: ArmHandles
+    data: mujoco.MjData, arm: ArmAddresses
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     wxyz = np.empty(4)
     mujoco.mju_mat2Quat(wxyz, data.site_xmat[arm.tool_site])
     return data.site_xpos[arm.tool_site], wxyz
-
-
-def hand_bodies(model: mujoco.MjModel, arm: ArmHandles) -> frozenset[int]:
-    """The tool's body and the links right before it, as body ids."""
-    bodies, body = [], int(model.site_bodyid[arm.tool_site])
-    moved = 0
-    while body and moved < HAND_BODIES:
-        bodies.append(body)
-        moved += bool(model.body_jntnum[body])
-        body = int(model.body_parentid[body])
-    return frozenset(bodies)

@@ -34,7 +34,7 @@ from workcell.control.kernels.arguments import DONE
 from workcell.control.kernels.library import ArrayFunction, Bound, Kernels, kernels
 from workcell.control.proximity import PairGeometry
 from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
-from workcell.scene.handles import ArmHandles
+from workcell.scene.addresses import ArmAddresses
 
 SOLVER_TOLERANCE_RAD_S = 1e-9
 """How far a constraint may be missed; far below what an encoder sees."""
@@ -154,7 +154,7 @@ class JointLimit(mink.Limit):
     range), the position bound wins.
     """
 
-    def __init__(self, arm: ArmHandles, *, nv: int):
+    def __init__(self, arm: ArmAddresses, *, nv: int):
         self.arm = arm
         self.previous_rad_s = np.zeros(len(arm.dofs))
         """(n,) last commanded velocity, from which the acceleration counts."""
@@ -253,7 +253,7 @@ class ArmIk:
 
     def __init__(
         self,
-        arm: ArmHandles,
+        arm: ArmAddresses,
         *,
         nv: int,
         dt_s: float,
@@ -527,7 +527,7 @@ class CompiledIk:
     """
 
     def __init__(
-        self, kernels: Kernels, arm: ArmHandles, configuration: mink.Configuration, dt_s: float
+        self, kernels: Kernels, arm: ArmAddresses, configuration: mink.Configuration, dt_s: float
     ):
         self.kernels = kernels
         self._dt_s = dt_s
@@ -705,7 +705,7 @@ def within(
 
 
 def _approach(
-    distance_rad: NDArray[np.float64], arm: ArmHandles, dt_s: float
+    distance_rad: NDArray[np.float64], arm: ArmAddresses, dt_s: float
 ) -> NDArray[np.float64]:
     """(2, n) largest speed towards an end stop at a distance from which braking still fits; negative beyond it."""
     a = arm.acceleration_limit_rad_s2

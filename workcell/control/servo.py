@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.scene.handles import ArmHandles
+from workcell.scene.addresses import ArmAddresses
 
 LARGEST_LAG_RAD = 0.05
 """A reference farther from the joint than this has lost it (a blocked or saturated joint); it is then
@@ -21,7 +21,7 @@ led back, so that a freed joint does not leap. Chosen well above the tracking er
 class ServoCommand:
     """Integrates the references of one arm's servos and writes their controls."""
 
-    def __init__(self, arm: ArmHandles, *, dt_s: float):
+    def __init__(self, arm: ArmAddresses, *, dt_s: float):
         self._arm = arm
         self._dt_s = dt_s
         self._position = np.array([servo.kind == "position" for servo in arm.servos])

@@ -29,7 +29,7 @@ from workcell.control.scaling import (
 )
 from workcell.control.ttc import SmallestTtc
 from workcell.scenario import Control
-from workcell.scene.handles import ArmHandles
+from workcell.scene.addresses import ArmAddresses
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -169,7 +169,7 @@ class Share:
     ):
         self.watched = watched
         self.pairs = pairs
-        self.arm: ArmHandles = ik.arm
+        self.arm: ArmAddresses = ik.arm
         self.ik = ik
         self.support = support
         self._configuration = configuration

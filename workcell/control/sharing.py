@@ -28,7 +28,7 @@ def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> lis
     support arm does.
     """
     rank = {
-        arm.handles.name: (arm.support, arm.handles.priority, index)
+        arm.addresses.name: (arm.support, arm.addresses.priority, index)
         for index, arm in enumerate(arms)
     }
     parties = [grasps.parties(k) for k in range(len(cell.pairs))]
@@ -39,7 +39,7 @@ def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> lis
     owners = cell.pairs.owners
     dealt = []
     for arm in arms:
-        name = arm.handles.name
+        name = arm.addresses.name
         mine = [k for k, names in enumerate(parties) if name in names]
         owned = [k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)]
         dealt.append(
@@ -68,7 +68,7 @@ def meeting_pairs(
         if moved is not None and moved not in (g, h):
             return False  # a hand-over is complete when the instrument is there, not when the hands are
         return any(
-            grasps.part_of_hand(mine, arm.handles.name)
+            grasps.part_of_hand(mine, arm.addresses.name)
             and (
                 theirs == moved if meeting.arm is None else grasps.part_of_hand(theirs, meeting.arm)
             )

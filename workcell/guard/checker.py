@@ -22,10 +22,18 @@ import numpy as np
 
 from workcell.errors import InputError
 from workcell.guard.geometry import Geometry, collect_geometry, load_scene
-from workcell.guard.link import BEAT_S, CLOSED, NOBODY, Answer, Link, Request, TornRead
 from workcell.guard.nearest import NearestSearch
 from workcell.guard.pairs import PairTable, choose_pairs
 from workcell.guard.settings import CheckSettings
+from workcell.guard.shared_memory import (
+    BEAT_S,
+    CLOSED,
+    NOBODY,
+    Answer,
+    Request,
+    SharedMemory,
+    TornRead,
+)
 
 _Grips = tuple[tuple[int, int], ...]
 """Pairs of instrument and arm between which contact is let off."""
@@ -185,7 +193,7 @@ def main() -> int:
     except InputError as error:
         _say(done, {"refused": error.faults, "file": error.file})
         return 2
-    link = Link(
+    link = SharedMemory(
         order["memory"],
         nq=checker.model.nq,
         n_exemptions=len(settings.exemptions),
@@ -211,7 +219,7 @@ def main() -> int:
 
 
 def _serve(
-    checker: Checker, link: Link, wake: int, done: int, parent: int, faults: _Faults
+    checker: Checker, link: SharedMemory, wake: int, done: int, parent: int, faults: _Faults
 ) -> None:
     os.set_blocking(done, False)
     poller = select.poll()
@@ -266,7 +274,7 @@ class _Faults:
         if self._fault.kind == "hang_at_start":
             time.sleep(self._fault.seconds)
 
-    def commit(self, link: Link, answer: Answer) -> bool:
+    def commit(self, link: SharedMemory, answer: Answer) -> bool:
         """True if the answer has been seen to, faultily."""
         if self._fault is None or answer.sequence < self._fault.from_sequence:
             return False

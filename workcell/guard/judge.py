@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from workcell.guard.link import Answer
 from workcell.guard.settings import CheckSettings
+from workcell.guard.shared_memory import Answer
 from workcell.guard.verdict import CheckState, Verdict
 
 _NO_PAIR = (-1, -1)

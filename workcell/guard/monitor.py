@@ -17,9 +17,17 @@ from numpy.typing import NDArray
 from workcell.errors import InputError
 from workcell.guard.judge import judge, missing_reason
 from workcell.guard.latency import Latency, LatencyLog
-from workcell.guard.link import BEAT_S, CLOSED, NOBODY, Answer, Link, Request, TornRead
 from workcell.guard.process import CheckerProcess
 from workcell.guard.settings import CheckSettings
+from workcell.guard.shared_memory import (
+    BEAT_S,
+    CLOSED,
+    NOBODY,
+    Answer,
+    Request,
+    SharedMemory,
+    TornRead,
+)
 from workcell.guard.verdict import CheckState, Verdict
 
 
@@ -35,7 +43,7 @@ class FinalCheck:
         self._scene_xml = Path(scene_xml)
         self._settings = settings
         self._process: CheckerProcess | None = None
-        self._link: Link | None = None
+        self._link: SharedMemory | None = None
         self._pieces: tuple[str, ...] = ()
         self._pair_count = 0
         self._missing: tuple[str, ...] = ()
@@ -86,7 +94,7 @@ class FinalCheck:
         self._pieces = tuple(greeting["pieces"])
         self._pair_count = greeting["pairs"]
         self._missing = tuple(greeting["missing"])
-        self._link = Link(
+        self._link = SharedMemory(
             self._process.memory,
             nq=self._nq,
             n_exemptions=len(self._settings.exemptions),
@@ -280,7 +288,7 @@ class FinalCheck:
             if time.monotonic() >= until_s:
                 return self._unanswered(process, link, wait_s)
 
-    def _unanswered(self, process: CheckerProcess, link: Link, wait_s: float) -> Verdict:
+    def _unanswered(self, process: CheckerProcess, link: SharedMemory, wait_s: float) -> Verdict:
         """The verdict when nothing new has come: the last one, or what is wrong."""
         if process.is_stopped():
             return self._fault(CheckState.STOPPED, "the checker process is suspended")

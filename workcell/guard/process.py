@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import IO, Any
 
 import workcell
-from workcell.guard.link import shared_file
 from workcell.guard.settings import CheckSettings
+from workcell.guard.shared_memory import shared_file
 
 # How long a process whose connection has closed may take to be gone, s.
 FAREWELL_S = 1.0

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
-from workcell.motion.operator import path_through
+from workcell.motion.operators import path_through
 from workcell.motion.orientation import pointing, turned_towards
 from workcell.motion.path import PathGeometry, Target, TimedPath, length, standing
 

@@ -12,11 +12,11 @@ import numpy as np
 from workcell.errors import InputError
 from workcell.scenario import Scenario
 from workcell.scene import compose
-from workcell.scene.handles import (
-    ArmHandles,
-    InstrumentHandles,
-    arm_handles,
-    instrument_handles,
+from workcell.scene.addresses import (
+    ArmAddresses,
+    InstrumentAddresses,
+    arm_addresses,
+    instrument_addresses,
 )
 from workcell.scene.pairs import WatchedPairs, watched_pairs
 
@@ -33,9 +33,9 @@ class Cell:
 
     scenario: Scenario
     model: mujoco.MjModel
-    arms: tuple[ArmHandles, ...]
+    arms: tuple[ArmAddresses, ...]
     """In the order of the scenario file."""
-    instruments: tuple[InstrumentHandles, ...]
+    instruments: tuple[InstrumentAddresses, ...]
     """In the order of the scenario file."""
     pairs: WatchedPairs
     sensor_adr: np.ndarray
@@ -60,7 +60,7 @@ class Cell:
                 self._put_into_hand(data, item, holder)
 
     def _put_into_hand(
-        self, data: mujoco.MjData, item: InstrumentHandles, holder: ArmHandles
+        self, data: mujoco.MjData, item: InstrumentAddresses, holder: ArmAddresses
     ) -> None:
         """In line with the tool, its near end HELD_GAP_M before the tool point."""
         rotation = data.site_xmat[holder.tool_site].reshape(3, 3)
@@ -83,7 +83,7 @@ def build(scenario: Scenario, folder: Path) -> Cell:
     composed = compose.compose(scenario)
     bare = compose.preview(composed)
     # Sensors come last and change no number, so that what was resolved without them holds.
-    arms, instruments = arm_handles(bare, scenario), instrument_handles(bare, scenario)
+    arms, instruments = arm_addresses(bare, scenario), instrument_addresses(bare, scenario)
     pairs = watched_pairs(bare, arms, instruments, arms_digest=composed.arms_digest)
     compose.add_sensors(composed, pairs.names, SENSOR_CUTOFF_M)
     model = compose.export(composed, folder)

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.scene.handles import ArmHandles, InstrumentHandles, arm_of_geom
+from workcell.scene.addresses import ArmAddresses, InstrumentAddresses, arm_of_geom
 
 NEIGHBOUR_JOINTS = 2
 """Links up to two joints apart share a housing joint (on the PA10: shoulder, elbow and wrist forks)."""
@@ -54,8 +54,8 @@ class WatchedPairs:
 
 def watched_pairs(
     model: mujoco.MjModel,
-    arms: tuple[ArmHandles, ...],
-    instruments: tuple[InstrumentHandles, ...] = (),
+    arms: tuple[ArmAddresses, ...],
+    instruments: tuple[InstrumentAddresses, ...] = (),
     *,
     arms_digest: str | None = None,
 ) -> WatchedPairs:
@@ -107,8 +107,8 @@ def watched_pairs(
 
 def _instrument_pairs(
     model: mujoco.MjModel,
-    arms: tuple[ArmHandles, ...],
-    instruments: tuple[InstrumentHandles, ...],
+    arms: tuple[ArmAddresses, ...],
+    instruments: tuple[InstrumentAddresses, ...],
     surroundings: list[int],
 ) -> tuple[list[tuple[int, int]], list[tuple[str, str, str]]]:
     """Every instrument against arms, surroundings and other instruments; what it rests on is left out."""
@@ -175,7 +175,7 @@ def _joints_above(model: mujoco.MjModel, geom: int) -> set[int]:
 
 def _sampled(
     model: mujoco.MjModel,
-    arms: tuple[ArmHandles, ...],
+    arms: tuple[ArmAddresses, ...],
     pairs: list[tuple[int, int]],
     arms_digest: str | None,
 ) -> list[_Candidate]:
@@ -212,7 +212,7 @@ def _sampled(
 
 def _within(
     model: mujoco.MjModel,
-    arms: tuple[ArmHandles, ...],
+    arms: tuple[ArmAddresses, ...],
     pairs: list[_Candidate],
     poses: NDArray[np.float64],
 ) -> list[tuple[float, float]]:
@@ -231,7 +231,7 @@ def _within(
 
 def _look(
     model: mujoco.MjModel,
-    arms: tuple[ArmHandles, ...],
+    arms: tuple[ArmAddresses, ...],
     poses: Iterable[NDArray[np.float64]],
     pairs: list[_Candidate],
 ) -> None:

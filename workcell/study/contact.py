@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from workcell.control.controller import Controller
 from workcell.guard.checker import Checker
-from workcell.guard.link import CLOSED, NOBODY, Request
 from workcell.guard.settings import CheckSettings
+from workcell.guard.shared_memory import CLOSED, NOBODY, Request
 from workcell.scene.cell import Cell
 
 CAUSING_M_S = 1e-3

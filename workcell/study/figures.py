@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from workcell.study.report import EVENTS, QUANTITIES, Row, by_setting, made, values
 from workcell.study.statistics import rate
-from workcell.trace.palette import arm_colour, unit_rgb
+from workcell.view.palette import arm_colour, unit_rgb
 
 _STROKES = ("-", "--", ":", "-.")
 """Of settings: two that behave alike lie on each other."""

@@ -139,7 +139,7 @@ def _save_recording(source: Path, target: Path) -> tuple[Path | None, list[str]]
     # rerun takes half a second to import, which a salvage without a recording need not wait for.
     from rerun.chunk import RrdReader
 
-    from workcell.trace.view import viewer_binary
+    from workcell.trace.rerun_viewer import viewer_binary
 
     command = [viewer_binary(), "rrd", "merge", "--continue-on-error", "-o", target, source]
     try:

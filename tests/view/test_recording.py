@@ -1,0 +1,109 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from tests.view.viewer import NoDriver, look
+from workcell.errors import TraceError
+from workcell.trace.table import TraceWriter, load
+from workcell.view import recording as view
+
+
+@pytest.fixture(scope="module")
+def recording(run, tmp_path_factory):
+    return view.record(run.trace, run.scene, tmp_path_factory.mktemp("view") / "recording.rrd")
+
+
+@pytest.fixture(scope="module")
+def content(recording):
+    """Component columns by entity and name, flattened."""
+    found = {}
+    for chunk in RrdReader(str(recording)).stream():
+        batch = chunk.to_record_batch()
+        for field, column in zip(batch.schema, batch.columns, strict=True):
+            entries = found.setdefault(chunk.entity_path, {}).setdefault(field.name, [])
+            entries.extend(column.to_pylist())
+    return found
+
+
+def test_curves_are_the_trace(run, content):
+    trace = run.trace
+    drawn = np.array(content["/tool_speed"]["Scalars:scalars"])
+    logged = [trace["surgeon.tool_speed_m_s"], trace["nurse.tool_speed_m_s"]]
+    np.testing.assert_array_equal(drawn, np.column_stack(logged))
+    limit, _, measured = np.array(content["/ttc"]["Scalars:scalars"]).T
+    assert set(limit) == {0.8}
+    known = np.isfinite(trace["ttc_s"])
+    np.testing.assert_array_equal(measured[known], np.minimum(trace["ttc_s"][known], 5 * 0.8))
+    assert np.isinf(measured[~known]).all(), "nothing closes: a gap"
+
+
+def test_geometry_is_drawn_fifty_times_a_second(run, content):
+    poses = content["/world/nurse/capsules"]["InstancePoses3D:translations"]
+    assert len(poses) == len(run.trace) / 5
+    assert len(poses[0]) == 3, "three capsules an arm"
+    colours = content["/world/witness"]["LineStrips3D:colors"]
+    red = sum(colour[0] >> 8 == int.from_bytes(bytes(view.DANGER)) for colour in colours)
+    danger = run.trace["ttc_s"][::5] < 0.8 * view.DANGER_MARGIN
+    assert red == danger.sum()
+    assert 0 < red < len(colours)
+
+
+def test_every_change_of_mode_is_an_event(run, content):
+    events = content["/events"]["TextLog:text"]
+    said = [text for (text,) in events]
+    assert said.count("cell: scale") == 2
+    assert said.count("cell: halt") == 1
+    assert "nurse: held back by halt" in said
+    assert "nurse: held back by ttc (surgeon/link2_capsule and nurse/link3_capsule)" in said
+
+
+def test_a_recording_knows_what_it_was_made_of(run, recording, tmp_path, monkeypatch):
+    assert view.is_current(recording, run.trace)
+    other = dataclasses.replace(run.trace, rows=run.trace.table.slice(1))
+    assert not view.is_current(recording, other)
+    monkeypatch.setattr(view, "VIEW_VERSION", view.VIEW_VERSION + 1)
+    assert not view.is_current(recording, run.trace)
+    monkeypatch.undo()
+    assert not view.is_current(tmp_path / "none.rrd", run.trace)
+    cut = tmp_path / "cut.rrd"
+    for kept in (0, 3000, -10):
+        cut.write_bytes(recording.read_bytes()[:kept])
+        assert not view.is_current(cut, run.trace)
+
+
+def test_misfits_are_refused(run, tmp_path):
+    scene = tmp_path / "scene.xml"
+    scene.write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    with pytest.raises(TraceError, match=r"has 6 coordinates, .*scene\.xml has 0"):
+        view.record(run.trace, scene, tmp_path / "r.rrd")
+    with TraceWriter(tmp_path / "empty", run.trace.layout, {}, 0.01):
+        pass
+    with pytest.raises(TraceError, match="no rows"):
+        view.record(load(tmp_path / "empty"), run.scene, tmp_path / "r.rrd")
+    with pytest.raises(TraceError, match="no such recording"):
+        view.open_viewer(tmp_path / "r.rrd")
+    assert list(tmp_path.glob("r.rrd*")) == []
+
+
+@pytest.mark.parametrize("web", [False, True])
+def test_the_viewer_listens_to_this_machine_only(recording, monkeypatch, web):
+    started = []
+    monkeypatch.setattr(view.subprocess, "Popen", started.append)
+    view.open_viewer(recording, web=web)
+    command = started[0]
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert ("--serve-web" in command) == web
+    assert view.viewer_binary().is_file()
+
+
+def test_the_viewer_shows_it(recording, tmp_path):
+    try:
+        sight = look(recording, tmp_path / "view.png", 1.6)
+    except NoDriver as error:
+        pytest.skip(f"no Vulkan driver to draw with: {error}")
+    assert sight.views == set(view.VIEW_NAMES)
+    assert sight.problems == []
+    assert sight.errors == []
+    assert sight.timelines >= {"sim_time", "tick"}

@@ -1,0 +1,241 @@
+"""The commands that hold runs against each other: compare, rerun, bless, salvage.
+
+Exit status as everywhere: 0 the same, or done; 1 it differs; 2 refused, or not comparable.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from workcell.errors import InputError
+
+if TYPE_CHECKING:
+    from workcell.regression.bless import MetricChange
+    from workcell.regression.compare import Comparison, Excerpt
+
+SAME, DIFFERS, NOT_COMPARABLE = 0, 1, 2
+SHOWN = 8
+"""Lines of the table on the terminal; the file has them all."""
+REPORT = "comparison"
+"""Name of what is written into the run folder, before its ending."""
+
+Run = Annotated[
+    Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="a run folder or a trace")
+]
+References = Annotated[
+    Path, tyro.conf.arg(metavar="DIR", help="folder with a reference for each scenario")
+]
+
+_out = Console(highlight=False, soft_wrap=True)
+
+
+def compare(
+    run: Run,
+    reference: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="REFERENCE", help="a run folder, a trace, or a folder `bless` made"),
+    ],
+    /,
+    plot: Annotated[bool, tyro.conf.arg(help="draw what differs into comparison.png")] = False,
+    rerun: Annotated[bool, tyro.conf.arg(help="open both in one recording in the viewer")] = False,
+    other_settings: Annotated[
+        bool, tyro.conf.arg(help="compare although settings of the scenario differ")
+    ] = False,
+    wide: Annotated[
+        bool, tyro.conf.arg(help="tolerances for two closed loops on different machines")
+    ] = False,
+) -> int:
+    """Compare a run with a reference: where they part, which quantity moved first, by how much. Exit status 0 same, 1 differs, 2 not comparable."""
+    from workcell.regression import bless as regression
+    from workcell.regression.compare import compare as compare_excerpts
+    from workcell.regression.compare import excerpt
+    from workcell.trace.table import load
+
+    mine, changes = load(run), None
+    if regression.is_reference(reference):
+        kept = regression.load(reference)
+        theirs, wide = kept.rows("closed"), True
+    else:
+        kept, theirs = None, excerpt(load(reference))
+    options = regression.CLOSED if wide else {}
+    result = compare_excerpts(excerpt(mine), theirs, other_settings=other_settings, **options)
+    if kept is not None and result.kind != "not comparable":
+        changes = regression.metric_changes_of_trace(mine, kept.metrics)
+    folder = run if run.is_dir() else run.parent
+    report(result, folder / f"{REPORT}.txt", changes or ())
+    if result.kind == "not comparable":
+        return NOT_COMPARABLE
+    _show(excerpt(mine), theirs, result, folder, plot=plot, rerun=rerun)
+    return SAME if result.kind == "same" and not changes else DIFFERS
+
+
+def rerun(
+    run: Run,
+    /,
+    open_loop: Annotated[
+        bool, tyro.conf.arg(help="feed the recorded states to the controller, without a plant")
+    ] = False,
+    closed_loop: Annotated[bool, tyro.conf.arg(help="run the scenario again")] = False,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="keep the new trace here")
+    ] = None,
+) -> int:
+    """Do a recorded run again with today's controller and compare. Exit status 0 same, 1 differs, 2 not comparable."""
+    from workcell import run as runner
+    from workcell.regression import bless as regression
+    from workcell.regression import replay
+    from workcell.regression.compare import compare as compare_excerpts
+    from workcell.regression.compare import excerpt
+    from workcell.regression.reference import states
+    from workcell.trace.table import load
+
+    if open_loop == closed_loop:
+        raise InputError("rerun: allowed is exactly one of --open-loop and --closed-loop")
+    old = load(run)
+    scenario = replay.scenario_of(old)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = out or Path(temporary)
+        if open_loop:
+            cell = runner.prepare(scenario, folder / runner.SCENE_FOLDER)
+            again = replay.open_loop(cell, states(old), folder)
+            changes, options = (), {"without_plant": True}
+        else:
+            again = replay.closed_loop(scenario, folder)
+            changes = regression.metric_changes(
+                (again.summary or {})["metrics"], regression.metrics_of(old)
+            )
+            options = regression.CLOSED
+        result = compare_excerpts(excerpt(again.trace), excerpt(old), **options)
+        if again.fault:
+            _out.print(f"stopped: {again.fault}", markup=False)
+        report(result, out / f"{REPORT}.txt" if out else None, changes)
+    if result.kind == "not comparable":
+        return NOT_COMPARABLE
+    return SAME if result.kind == "same" and not changes else DIFFERS
+
+
+def bless(
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
+    /,
+    reason: str,
+    references: References = Path("tests/replay/references"),
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="keep the runs it took here")
+    ] = None,
+    set: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(
+            name="set", metavar="KEY=VALUE", help="settings of the reference run, as for `run`"
+        ),
+    ] = (),
+) -> int:
+    """Make what a scenario does now its reference. Refused without a reason, or if an expectation is broken."""
+    from workcell.regression import bless as regression
+
+    with tempfile.TemporaryDirectory() as temporary:
+        changes = regression.bless(
+            scenario, references, reason, out=out or Path(temporary), overrides=set or None
+        )
+    _metrics_table(changes)
+    _out.print(f"blessed: {references}; {len(changes)} metrics changed", markup=False)
+    return SAME
+
+
+def salvage(
+    run: Run,
+    /,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help="new folder; default RUN/salvaged")
+    ] = None,
+) -> int:
+    """Save what is intact of a damaged run's trace and recording into a new folder. Exit status 1 if no row was left."""
+    from workcell.run import RECORDING_FILE
+    from workcell.trace.salvage import salvage as save
+
+    folder = out or run / "salvaged"
+    saved = save(run, folder, recording_name=RECORDING_FILE)
+    for loss in saved.losses:
+        _out.print(f"lost: {loss}", markup=False)
+    _out.print(f"{saved.rows} rows in {saved.trace or 'no trace'}", markup=False)
+    _out.print(f"recording: {saved.recording or 'nothing left'}", markup=False)
+    return SAME if saved.trace else DIFFERS
+
+
+def report(
+    result: Comparison, file: Path | None, changes: tuple[MetricChange, ...] | list[MetricChange]
+) -> None:
+    """Say on the terminal what matters, and in the file everything."""
+    if changes:
+        _metrics_table(changes)
+    table = _table(result)
+    if result.differences:
+        _out.print(_table(result, SHOWN))
+        if len(result.differences) > SHOWN:
+            _out.print(f"... and {len(result.differences) - SHOWN} quantities more")
+    for note in result.notes:
+        _out.print(f"note: {note}", markup=False)
+    _out.print(result.headline(), markup=False)
+    if file is None:
+        return
+    with file.open("w", encoding="utf-8") as stream:
+        long = Console(file=stream, width=160, highlight=False)
+        long.print(f"{result.run}\nagainst {result.reference}\n{result.headline()}\n", markup=False)
+        for note in result.notes:
+            long.print(f"note: {note}", markup=False)
+        long.print(table)
+        for change in changes:
+            long.print(f"{change.name}: {change.reference} -> {change.now}", markup=False)
+    _out.print(f"all of it: {file}", markup=False)
+
+
+def _table(result: Comparison, most: int | None = None) -> Table:
+    table = Table(
+        "quantity", "stage", "first tick", "at", "ticks", "largest", "there", "run", "reference",
+        box=None,
+    )  # fmt: skip
+    for d in result.differences[:most]:
+        table.add_row(
+            d.column + ("" if d.entry is None else f"[{d.entry}]").replace("[", r"\["),
+            d.stage,
+            str(d.first_tick),
+            f"{d.first_time_s:.3f} s",
+            str(d.ticks),
+            "" if d.largest is None else f"{d.largest:.3g}",
+            str(d.largest_tick),
+            d.run,
+            d.reference,
+        )
+    return table
+
+
+def _metrics_table(changes: tuple[MetricChange, ...] | list[MetricChange]) -> None:
+    table = Table("metric", "reference", "now", box=None)
+    for change in changes[:SHOWN]:
+        table.add_row(change.name, str(change.reference), str(change.now))
+    _out.print(table)
+    if len(changes) > SHOWN:
+        _out.print(f"... and {len(changes) - SHOWN} metrics more")
+
+
+def _show(
+    run: Excerpt, reference: Excerpt, result: Comparison, folder: Path, *, plot: bool, rerun: bool
+) -> None:
+    """Draw both, on paper or in the viewer."""
+    if plot:
+        from workcell.regression.bless import overlay
+
+        _out.print(str(overlay.draw(run, reference, result, folder / f"{REPORT}.png")))
+    if rerun:
+        from workcell.regression import recording_of_both as view_both
+        from workcell.view import recording as view
+
+        recording = view_both.record(run, reference, result, folder / f"{REPORT}.rrd")
+        _out.print(str(recording))
+        view.open_viewer(recording).wait()
