@@ -229,7 +229,7 @@ def _show(
 ) -> None:
     """Draw both, on paper or in the viewer."""
     if plot:
-        from workcell.regression.bless import overlay
+        from workcell.regression import overlay
 
         _out.print(str(overlay.draw(run, reference, result, folder / f"{REPORT}.png")))
     if rerun:
