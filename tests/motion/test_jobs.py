@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from workcell import scenario
 from workcell.motion.jobs import (
     APPROACH_M,
-    ENTRIES,
+    APPROACH_SIDES,
     REPLAN_M,
     REPLAN_S,
     HandOver,
@@ -212,7 +212,7 @@ class Cell:
         return Rotation.from_quat(wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize("entry", ENTRIES)
+@pytest.mark.parametrize("entry", APPROACH_SIDES)
 def test_an_entry_is_a_side_seen_from_the_other_arms_base(entry):
     """It ends `distance_m` before the tool on that side, pointing at it, after a straight last stretch."""
     cell = Cell(present(entry))
@@ -382,7 +382,7 @@ def test_each_entry_is_tried_once_and_the_one_asked_for_is_kept_then():
     cell.tick()
     tried = []
     while cell.jobs.try_another_entry(cell.around()):
-        tried.append(cell.jobs._entry)
+        tried.append(cell.jobs._side)
     assert tried == ["above", "left", "right"]
     cell.until(lambda: cell.jobs.finished == 2)
     cell.tick()

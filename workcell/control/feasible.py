@@ -21,8 +21,8 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import ArmIk, ToolTask
 from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
-from workcell.motion.operators import make_operator, path_through
-from workcell.motion.path import PathGeometry, Target, standing
+from workcell.motion.operators import make_operator
+from workcell.motion.path import PathGeometry, Target, path_through, standing
 from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
 

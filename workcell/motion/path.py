@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from workcell import scenario
 from workcell.motion.cubic import Cubic
 from workcell.motion.orientation import angular_velocity, rotation_between, unit
 
@@ -190,6 +191,19 @@ class TimedPath:
         if clock_s > ramp:
             return v * (clock_s - ramp / 2), v
         return _ramp_up(clock_s, v, ramp)
+
+
+def path_through(
+    waypoints: tuple[scenario.Waypoint, ...],
+    position_m: NDArray[np.float64],
+    wxyz: NDArray[np.float64],
+) -> PathGeometry:
+    """The curve from a pose through waypoints of a scenario; a missing orientation keeps the one before."""
+    positions, orientations = [position_m], [np.asarray(wxyz, dtype=float)]
+    for waypoint in waypoints:
+        positions.append(np.array(waypoint.position_m))
+        orientations.append(orientations[-1] if waypoint.wxyz is None else np.array(waypoint.wxyz))
+    return PathGeometry(np.array(positions), np.array(orientations))
 
 
 def _line(positions: NDArray[np.float64], wxyz: NDArray[np.float64]) -> PPoly:

@@ -1,4 +1,4 @@
-"""Target governor: a wanted pose that may leap -> a target that never does.
+"""Reference governor: an input that may leap -> a target that never does.
 
 Speed and acceleration of what comes out stay below caps, for translation and rotation apart. An
 input that keeps the caps itself passes unchanged, to the last bit, which is what lets a recorded

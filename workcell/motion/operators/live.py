@@ -1,7 +1,7 @@
 """A live operator: samples from a device, as they come -> a target that never leaps.
 
 Samples are offered from outside between ticks (a mouse, keys, a gamepad, a tracker); the filter
-names what is wrong with them, and the target governor takes the arm from where it is to where the
+names what is wrong with them, and the reference governor takes the arm from where it is to where the
 stream is, at limited speed, whatever the stream did in between.
 """
 

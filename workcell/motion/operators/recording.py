@@ -125,7 +125,7 @@ def write(path: Path | str, samples: Samples) -> Path:
 
 
 class RecordingOperator:
-    """Follows a recording, from the start pose on, through a target governor.
+    """Follows a recording, from the start pose on, through the reference governor.
 
     Raises:
         InputError: see `read`.

@@ -1,88 +1,35 @@
-"""What a support arm does: a sequence of jobs, each a path with its own clock.
+"""The jobs of one arm, in order: which is done now, along which path, and when it is over.
 
-The clock advances by the factor the controller grants, so an arm that is slowed down stays on its
-path. `move` and `retreat` end when their clock has run out; `meet`, `fetch` and `exchange` end when
-what is meant to meet is d_min apart, dwell, and may hand over an instrument; `present` ends at a
-pose relative to another arm's tool. Where the place to go moves, the rest of the path is planned anew.
+The path's clock advances by the speed scale that the controller grants, so that an arm which is
+slowed down stays on its path. `move`, `present`, `put` and `retreat` end when their clock has run
+out. `meet`, `fetch` and `exchange` end after a dwell, which begins when what is to meet is d_min
+apart; they may hand over an instrument. Where the goal moves, the rest of the path is planned anew.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
 from workcell import scenario
-from workcell.motion.operators import path_through
-from workcell.motion.orientation import pointing, turned_towards
-from workcell.motion.path import PathGeometry, Target, TimedPath, length, standing
+from workcell.motion.jobs.goals import (
+    APPROACH_SIDES,
+    HandOver,
+    Meeting,
+    Surroundings,
+    Vector,
+    goal_of,
+    meeting_of,
+    way_to,
+)
+from workcell.motion.path import PathGeometry, Target, TimedPath, length, path_through, standing
 
-Vector = NDArray[np.float64]
-
-_DOWN = np.array([0.0, 0.0, -1.0])
 REPLAN_M = 0.01
 """A goal that has moved by more than this is approached on a new path; chosen as the default d_min."""
 REPLAN_PRESENT_M = 0.08
 """The same for a presentation, which need not follow every move of a hand; chosen as a hand's breadth."""
 REPLAN_S = 0.5
 """A path is followed at least this long before it is planned anew, so that an arm whose goal keeps moving gets under way."""
-APPROACH_M = 0.12
-"""Length of the straight last stretch to a presentation pose or an instrument: chosen longer than a tool."""
-ENTRIES: tuple[scenario.Entry, ...] = ("left", "right", "above")
 _MEETINGS = (scenario.Meet, scenario.Fetch, scenario.Exchange)
-_Aimed = scenario.Meet | scenario.Fetch | scenario.Exchange | scenario.Present | scenario.Put
-"""Jobs that go where something else is, which may move."""
-
-
-@dataclass(frozen=True)
-class Instrument:
-    """Where an instrument is now."""
-
-    centre_m: Vector
-    """(3,) in the world."""
-    axis_m: Vector
-    """(3,) half-length vector: the ends are centre ± axis."""
-    place_m: Vector
-    """(3,) centre where it was at the start."""
-    holder: str | None
-    """Arm that holds it; None where it lies."""
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What a job may know about the cell this tick."""
-
-    tool_position_m: dict[str, Vector]
-    """(3,) tool position of every arm, in the world."""
-    base_position_m: dict[str, Vector]
-    """(3,) base position of every arm, in the world."""
-    instruments: dict[str, Instrument]
-    """Every instrument, by name."""
-    meeting_distance_m: float
-    """Smallest distance between what the present job brings together; infinite where it brings nothing."""
-
-
-@dataclass(frozen=True)
-class Meeting:
-    """What a job brings together on purpose."""
-
-    arm: str | None
-    """The other arm, None for an instrument that lies."""
-    instrument: str | None
-    """The instrument handed over, None where two tools only meet."""
-    gives: bool = False
-    """Whether this arm holds the instrument before, rather than after."""
-
-
-@dataclass(frozen=True)
-class HandOver:
-    """An instrument changes hands this tick."""
-
-    instrument: str
-    to: str | None
-    """Arm that holds it from now on; None if it is let go of."""
 
 
 @dataclass
@@ -90,7 +37,6 @@ class _Leg:
     path: TimedPath
     goal_m: Vector | None = None
     """(3,) where it was planned to; None if it cannot move."""
-    planned_s: float = field(default=0.0)
 
 
 class JobSequence:
@@ -124,13 +70,13 @@ class JobSequence:
         self._travelled: list[tuple[PathGeometry, float]] = []
         self._legs: list[_Leg] = []
         self._met = False
-        self._entry: scenario.Entry | None = None
+        self._side: scenario.Entry | None = None
         self._preferred: scenario.Entry | None = None
-        self._entries_tried = 0
+        self._sides_tried = 0
         self._since_plan_s = 0.0
         self.clock_s = 0.0
         self.meeting: Meeting | None = None
-        """What the arm is meant to meet now; after a meeting, until it has retreated, what it leaves."""
+        """What the arm is meant to meet now. After a meeting, until the arm has retreated: what it leaves."""
         self.retreats = False
         """Whether the present job is to get away."""
         self.free_rotation = False
@@ -138,7 +84,7 @@ class JobSequence:
         self.finished = 0
         """How many jobs have been done."""
         self.switched = False
-        """Whether the last `advance` began another path or stopped one short: motion starts again from rest."""
+        """Whether the last `advance` began another path or ended one early: motion starts again from rest."""
         self.began = False
         """Whether the last `advance` began another job."""
         self.hand_over: HandOver | None = None
@@ -161,7 +107,7 @@ class JobSequence:
 
     @property
     def arrived(self) -> bool:
-        """Whether a meeting has come as near as it may, and dwells."""
+        """Whether what is to meet is d_min apart, and the arm dwells."""
         return self._met
 
     @property
@@ -171,7 +117,7 @@ class JobSequence:
 
     @property
     def progress_s(self) -> float:
-        """The clock as far as it means motion: at the end of a path it may go on, while the tool stands."""
+        """The clock, at most the duration of the path: beyond it the clock may go on while the tool stands."""
         return min(self.clock_s, self._legs[0].path.duration_s) if self._legs else self.clock_s
 
     def target(self) -> Target:
@@ -179,42 +125,49 @@ class JobSequence:
         return self._target
 
     def enter_from(self, entry: scenario.Entry, around: Surroundings) -> bool:
-        """Change the side a presentation comes from, also on the way; False if nothing is being presented."""
+        """Change the approach side of a presentation, also on the way; False if nothing is being presented."""
         job = self._current
         if not isinstance(job, scenario.Present):
             return False
-        if entry != (self._entry or job.entry):
-            self._entry = entry
+        if entry != (self._side or job.entry):
+            self._side = entry
             self._plan(job, around)
         return True
 
     def prefer(self, entry: scenario.Entry, around: Surroundings) -> None:
-        """From now on every presentation comes from this side, the one on its way included."""
+        """Use this approach side for every presentation from now on, the present one included."""
         if entry != self._preferred:
             self._preferred = entry
             self.enter_from(entry, around)
 
     def try_another_entry(self, around: Surroundings) -> bool:
-        """Present from the next side in the order of `ENTRIES`, once round and back to the first.
+        """Present from the next approach side in the order of `APPROACH_SIDES`; after the last comes the first.
 
-        False if nothing is being presented, or each side has been tried: then the one asked for is kept.
+        Returns:
+            False if nothing is being presented, or every side has been tried: then the side is kept.
         """
         job = self._current
-        if not isinstance(job, scenario.Present) or self._entries_tried == len(ENTRIES):
+        if not isinstance(job, scenario.Present) or self._sides_tried == len(APPROACH_SIDES):
             return False
-        self._entries_tried += 1
-        now = self._entry or job.entry
-        return self.enter_from(ENTRIES[(ENTRIES.index(now) + 1) % len(ENTRIES)], around)
+        self._sides_tried += 1
+        after = APPROACH_SIDES.index(self._side or job.entry) + 1
+        return self.enter_from(APPROACH_SIDES[after % len(APPROACH_SIDES)], around)
 
-    def advance(self, step_s: float, factor: float, around: Surroundings) -> None:
-        """Let time pass: `step_s` of the run, of which the path's clock gets the granted factor."""
+    def advance(self, step_s: float, speed_scale: float, around: Surroundings) -> None:
+        """Let time pass.
+
+        Args:
+            step_s: Time of the run that has passed.
+            speed_scale: Share of it by which the path's clock advances; a wait and a dwell take all of it.
+            around: The cell at this tick.
+        """
         self.switched, self.began, self.hand_over = False, False, None
         job = self._current
         if job is None and self.done:
             return
         # Waiting is not slowed down.
         waiting = self._met or (job is not None and job.kind == "wait")
-        self.clock_s = max(0.0, self.clock_s + step_s * (1.0 if waiting else factor))
+        self.clock_s = max(0.0, self.clock_s + step_s * (1.0 if waiting else speed_scale))
         self._since_plan_s += step_s
         if (
             around.meeting_distance_m <= self._d_min_m
@@ -255,7 +208,7 @@ class JobSequence:
 
     def _finish(self, job: scenario.Job) -> None:
         self.finished += 1
-        meeting = _meeting(job)
+        meeting = meeting_of(job)
         if isinstance(job, scenario.Put):
             self.hand_over = HandOver(job.instrument, None)
         elif meeting is not None and meeting.instrument is not None:
@@ -272,7 +225,7 @@ class JobSequence:
         self._index += 1
         self.clock_s, self._met, self._legs = 0.0, False, []
         self.switched = self.began = True
-        self._entry, self._entries_tried = self._preferred, 0
+        self._side, self._sides_tried = self._preferred, 0
         job = self._current = None if self.done else self._jobs[self._index]
         self.meeting = self._to_meet_or_leave()
         self.retreats = isinstance(job, scenario.Retreat)
@@ -305,33 +258,24 @@ class JobSequence:
             self._plan(job, around)
 
     def _to_meet_or_leave(self) -> Meeting | None:
-        """What the present job brings together, or what a retreat from it leaves, also while it waits before."""
+        """What the present job brings together; for a retreat, and a wait before it, what the job before brought together."""
         job = self._current
         if isinstance(job, (scenario.Retreat, scenario.Wait)):
             for earlier in reversed(self._jobs[: self._index]):
                 if not isinstance(earlier, scenario.Wait):
-                    return _meeting(earlier)
-        return _meeting(job)
+                    return meeting_of(earlier)
+        return meeting_of(job)
 
     def _plan(self, job: scenario.Job, around: Surroundings) -> None:
         """A path from the present target to where the job goes, from rest."""
         if isinstance(job, (scenario.Wait, scenario.Retreat)):
             return
         self._leave()
-        position, wxyz = self._target.position_m, self._target.wxyz
-        goal = None
+        start, goal = self._target, None
         if isinstance(job, scenario.Move):
-            geometry = path_through(job.waypoints, position, wxyz)
+            geometry = path_through(job.waypoints, start.position_m, start.wxyz)
         else:
-            goal, toward = self._goal(job, around)
-            if toward is None:
-                geometry = PathGeometry(np.array([position, goal]), np.array([wxyz, wxyz]))
-            else:
-                turned = turned_towards(wxyz, self._leading(job, around), toward)
-                geometry = PathGeometry(
-                    np.array([position, goal - APPROACH_M * toward, goal]),
-                    np.array([wxyz, turned, turned]),
-                )
+            geometry, goal = way_to(job, self._arm, self._side, start, around)
         self._legs = [
             _Leg(
                 TimedPath(
@@ -343,45 +287,6 @@ class JobSequence:
         self.clock_s, self._since_plan_s, self.switched = 0.0, 0.0, True
         self._target = self._legs[0].path.target(0.0)
 
-    def _goal(self, job: _Aimed, around: Surroundings) -> tuple[Vector, Vector | None]:
-        """Where this arm's tool has to go, and from where: the direction of the straight last stretch,
-        None where the way is straight anyhow."""
-        if isinstance(job, scenario.Fetch):
-            item = around.instruments[job.instrument]
-            # Its highest point: the upper end of one that stands, the middle of one that lies.
-            return item.centre_m - abs(item.axis_m[2]) * _DOWN, _DOWN
-        tool = around.tool_position_m[self._arm]
-        if isinstance(job, scenario.Put):
-            item = around.instruments[job.instrument]
-            # With the free end down, the centre is this far below the tool.
-            return item.place_m - length(item.centre_m - tool) * _DOWN, _DOWN
-        there = around.tool_position_m[job.arm]
-        if isinstance(job, scenario.Present):
-            entry = self._entry or job.entry
-            toward = -_entry_direction(entry, around.base_position_m[job.arm], there)
-            # The instrument will point along the tool once the tool has turned.
-            return there - (job.distance_m + length(self._held_m(around))) * toward, toward
-        if isinstance(job, scenario.Exchange) and job.direction == "take":
-            # Gripped at the end that is free.
-            return _end(around.instruments[job.instrument], there), None
-        return there - self._held_m(around), None
-
-    def _leading(self, job: _Aimed, around: Surroundings) -> Vector:
-        """(3,) the unit vector, now, that points along the straight last stretch once the tool is turned: the tool's
-        axis, or what is to be put down."""
-        if isinstance(job, scenario.Put):
-            held = self._held_m(around)
-            return held / max(length(held), 1e-9)
-        return pointing(self._target.wxyz)
-
-    def _held_m(self, around: Surroundings) -> Vector:
-        """(3,) from the tool to the free end of what it holds; zero if it holds nothing."""
-        tool = around.tool_position_m[self._arm]
-        for item in around.instruments.values():
-            if item.holder == self._arm:
-                return _end(item, tool) - tool
-        return np.zeros(3)
-
     def _has_moved(self, job: scenario.Job, around: Surroundings) -> bool:
         planned = self._legs[0].goal_m
         if (
@@ -391,31 +296,4 @@ class JobSequence:
         ):
             return False
         limit = REPLAN_PRESENT_M if isinstance(job, scenario.Present) else REPLAN_M
-        return length(self._goal(job, around)[0] - planned) > limit
-
-
-def _meeting(job: scenario.Job | None) -> Meeting | None:
-    if isinstance(job, scenario.Meet):
-        return Meeting(job.arm, None)
-    if isinstance(job, scenario.Fetch):
-        return Meeting(None, job.instrument)
-    if isinstance(job, scenario.Exchange):
-        return Meeting(job.arm, job.instrument, gives=job.direction == "give")
-    return None
-
-
-def _end(instrument: Instrument, hand_m: Vector) -> Vector:
-    """The end of an instrument that is away from the hand that holds it."""
-    outward = (instrument.centre_m - hand_m) @ instrument.axis_m >= 0.0
-    return instrument.centre_m + (instrument.axis_m if outward else -instrument.axis_m)
-
-
-def _entry_direction(entry: scenario.Entry, base_m: Vector, tool_m: Vector) -> Vector:
-    """Unit vector from an arm's tool to the side named, left and right as seen from its base."""
-    if entry == "above":
-        return np.array([0.0, 0.0, 1.0])
-    x, y, _ = (tool_m - base_m).tolist()
-    out = math.hypot(x, y)
-    # A tool right above its base has no left: the world's y axis stands in.
-    left = np.array([-y / out, x / out, 0.0] if out > 1e-6 else [0.0, 1.0, 0.0])
-    return left if entry == "left" else -left
+        return length(goal_of(job, self._arm, self._side, around)[0] - planned) > limit
