@@ -11,21 +11,25 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:       ## say what there is
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
 
-install: .venv/installed .venv/compiled  ## set up .venv from the lock, and compile what a tick computes
+install: .venv/installed .venv/compiled  ## set up .venv for development, and compile the laws of a tick
 
-.venv/installed: requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed, $(PYTHON) is older; say PYTHON=/path/to/python3.11"; exit 1; }
+# What a run needs; everything else comes with `install`.
+.venv/run: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || { echo "Python 3.11 or 3.12 is needed, $(PYTHON) is another; say PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-# Without it everything works as well, slower.
-.venv/compiled: .venv/installed $(wildcard workcell/control/kernels/*.py)
-	-@$(BIN)/workcell compile
+.venv/installed: requirements-dev.lock .venv/run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
 	@touch $@
 
-run: install  ## run a scenario headlessly into runs/ (SCENARIO=handover)
+.venv/compiled: .venv/run $(wildcard workcell/control/laws/*.py)
+	@$(BIN)/workcell compile
+	@touch $@
+
+run: .venv/run .venv/compiled  ## run a scenario headlessly into runs/ (SCENARIO=handover)
 	$(BIN)/workcell run $(SCENARIO)
 
 test: install  ## the tests, under five minutes on two cores
@@ -51,8 +55,10 @@ check: lint type imports  ## style, types and layering
 bench: install  ## timings, as ratios within one process
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench --benchmark-only -rs --benchmark-json=.benchmarks/latest.json
 
-lock: install  ## resolve requirements.lock anew
-	$(BIN)/uv pip compile pyproject.toml --group dev --all-extras --universal --python-version 3.11 --generate-hashes --quiet --output-file requirements.lock
+RESOLVE := --universal --python-version 3.11 --generate-hashes --quiet --no-emit-index-url --no-emit-find-links
+lock: install  ## resolve both lock files anew
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --all-extras $(RESOLVE) --output-file requirements-dev.lock
+	$(BIN)/uv pip compile pyproject.toml --group build $(RESOLVE) --constraint requirements-dev.lock --output-file requirements.lock
 
 wheel: install  ## build the wheel into dist/
 	$(BIN)/python -m hatchling build --target wheel

@@ -24,6 +24,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from workcell import __version__
 from workcell.control import feasible
 from workcell.control.controller import Controller
 from workcell.control.kernels import library
@@ -52,7 +53,6 @@ CHECK_STOP = "stopped_by_check"
 """Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
 
 PACKAGES = (
-    "workcell",
     "mujoco",
     "dm-control",
     "mink",
@@ -347,7 +347,8 @@ def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
 
 def versions() -> dict[str, str]:
     """Versions of everything that decides what a trace holds, and which arithmetic is used (docs/performance.md)."""
-    return {name: version(name) for name in PACKAGES} | {"kernels": library.in_use()}
+    packages = {name: version(name) for name in PACKAGES}
+    return {"workcell": __version__} | packages | {"kernels": library.in_use()}
 
 
 @contextmanager

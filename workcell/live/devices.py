@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.errors import InputError
+from workcell.extras import need
 from workcell.motion.orientation import turned
 from workcell.scenario import Criterion, Entry
 
@@ -156,12 +157,7 @@ def read_axes(pad: Any) -> NDArray[np.float64]:
 
 
 def _open_gamepad() -> Any:
-    try:
-        import pygame
-    except ImportError as error:
-        raise InputError(
-            "--gamepad: pygame is not installed; pip install 'workcell[gamepad]'"
-        ) from error
+    pygame = need("pygame", extra="gamepad", what="--gamepad")
     pygame.init()
     pygame.joystick.init()
     if not pygame.joystick.get_count():

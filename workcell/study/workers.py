@@ -19,6 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, cast
 
 from workcell.errors import InputError, WorkcellError
+from workcell.extras import need
 
 RUNS_PER_PROCESS = 200
 """After so many runs a worker process is replaced by a fresh one. Chosen so that what a library keeps per
@@ -150,12 +151,7 @@ def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
     Raises:
         InputError: the extra `cluster` is not installed, or nobody answers at the address.
     """
-    try:
-        import distributed
-    except ImportError as error:
-        raise InputError(
-            f"--cluster {address}: dask.distributed is missing; install workcell[cluster]"
-        ) from error
+    distributed = need("distributed", extra="cluster", what=f"--cluster {address}")
     try:
         client = distributed.Client(address, timeout="10s")
     except (OSError, ValueError, TimeoutError) as error:
