@@ -13,6 +13,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from workcell.cli.terminal import stdout
 from workcell.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ Run = Annotated[
 References = Annotated[
     Path, tyro.conf.arg(metavar="DIR", help="folder with a reference for each scenario")
 ]
-
-_out = Console(highlight=False, soft_wrap=True)
 
 
 def compare(
@@ -114,7 +113,7 @@ def rerun(
             options = regression.CLOSED
         result = compare_excerpts(excerpt(again.trace), excerpt(old), **options)
         if again.fault:
-            _out.print(f"stopped: {again.fault}", markup=False)
+            stdout.print(f"stopped: {again.fault}", markup=False)
         report(result, out / f"{REPORT}.txt" if out else None, changes)
     if result.kind == "not comparable":
         return NOT_COMPARABLE
@@ -144,7 +143,7 @@ def bless(
             scenario, references, reason, out=out or Path(temporary), overrides=set or None
         )
     _metrics_table(changes)
-    _out.print(f"blessed: {references}; {len(changes)} metrics changed", markup=False)
+    stdout.print(f"blessed: {references}; {len(changes)} metrics changed", markup=False)
     return SAME
 
 
@@ -162,9 +161,9 @@ def salvage(
     folder = out or run / "salvaged"
     saved = save(run, folder, recording_name=RECORDING_FILE)
     for loss in saved.losses:
-        _out.print(f"lost: {loss}", markup=False)
-    _out.print(f"{saved.rows} rows in {saved.trace or 'no trace'}", markup=False)
-    _out.print(f"recording: {saved.recording or 'nothing left'}", markup=False)
+        stdout.print(f"lost: {loss}", markup=False)
+    stdout.print(f"{saved.rows} rows in {saved.trace or 'no trace'}", markup=False)
+    stdout.print(f"recording: {saved.recording or 'nothing left'}", markup=False)
     return SAME if saved.trace else DIFFERS
 
 
@@ -176,12 +175,12 @@ def report(
         _metrics_table(changes)
     table = _table(result)
     if result.differences:
-        _out.print(_table(result, SHOWN))
+        stdout.print(_table(result, SHOWN))
         if len(result.differences) > SHOWN:
-            _out.print(f"... and {len(result.differences) - SHOWN} quantities more")
+            stdout.print(f"... and {len(result.differences) - SHOWN} quantities more")
     for note in result.notes:
-        _out.print(f"note: {note}", markup=False)
-    _out.print(result.headline(), markup=False)
+        stdout.print(f"note: {note}", markup=False)
+    stdout.print(result.headline(), markup=False)
     if file is None:
         return
     with file.open("w", encoding="utf-8") as stream:
@@ -192,7 +191,7 @@ def report(
         long.print(table)
         for change in changes:
             long.print(f"{change.name}: {change.reference} -> {change.now}", markup=False)
-    _out.print(f"all of it: {file}", markup=False)
+    stdout.print(f"all of it: {file}", markup=False)
 
 
 def _table(result: Comparison, most: int | None = None) -> Table:
@@ -219,9 +218,9 @@ def _metrics_table(changes: tuple[MetricChange, ...] | list[MetricChange]) -> No
     table = Table("metric", "reference", "now", box=None)
     for change in changes[:SHOWN]:
         table.add_row(change.name, str(change.reference), str(change.now))
-    _out.print(table)
+    stdout.print(table)
     if len(changes) > SHOWN:
-        _out.print(f"... and {len(changes) - SHOWN} metrics more")
+        stdout.print(f"... and {len(changes) - SHOWN} metrics more")
 
 
 def _show(
@@ -231,11 +230,11 @@ def _show(
     if plot:
         from workcell.regression import overlay
 
-        _out.print(str(overlay.draw(run, reference, result, folder / f"{REPORT}.png")))
+        stdout.print(str(overlay.draw(run, reference, result, folder / f"{REPORT}.png")))
     if rerun:
         from workcell.regression import recording_of_both as view_both
         from workcell.view import recording as view
 
         recording = view_both.record(run, reference, result, folder / f"{REPORT}.rrd")
-        _out.print(str(recording))
+        stdout.print(str(recording))
         view.open_viewer(recording).wait()

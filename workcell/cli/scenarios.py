@@ -1,0 +1,41 @@
+"""The commands that look at scenarios without running them: list, check."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from rich.table import Table
+
+from workcell import assets
+from workcell import scenario as scenario_file
+from workcell.cli.options import Overrides, ScenarioName
+from workcell.cli.terminal import OK, stdout
+
+
+def list_() -> int:
+    """List the shipped scenarios with a line about each."""
+    table = Table("scenario", "what it shows", box=None)
+    for name in assets.scenario_names():
+        table.add_row(name, scenario_file.load(name).description)
+    stdout.print(table)
+    return OK
+
+
+def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
+    """Check a scenario without running it: the file, the cell, the start, reach, room to brake, and the final check's geometry."""
+    from workcell import run as runner
+    from workcell.guard.check_setup import try_checker
+    from workcell.scene.compose import SCENE_FILE
+
+    loaded = scenario_file.load(scenario, set)
+    with tempfile.TemporaryDirectory() as folder:
+        cell = runner.prepare(loaded, Path(folder))
+        checked = "off"
+        if loaded.check.enabled:
+            table = try_checker(cell, Path(folder) / SCENE_FILE).table
+            checked = f"{table.count} pairs of pieces"
+    stdout.print(
+        f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
+    )
+    return OK

@@ -1,0 +1,55 @@
+"""What all commands share: exit statuses, the two streams, progress, and the table of verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+OK, FAILED, REFUSED = 0, 1, 2
+"""Exit statuses: as expected; it ran, but not as expected; the input was refused."""
+
+stdout = Console(highlight=False, soft_wrap=True)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def report(summary: dict, folder: Path) -> None:
+    table = Table("expectation", "wanted", "measured", "held", box=None)
+    for name, verdict in summary["expectations"].items():
+        table.add_row(
+            name,
+            verdict["wanted"],
+            verdict["measured"],
+            "yes" if verdict["held"] else "[red]NO[/red]",
+        )
+    if summary["expectations"]:
+        stdout.print(table)
+    halt = summary["final_check"].get("halt")
+    if halt:
+        stderr.print(f"stopped by the final check, {halt['state']}: {halt['reason']}", markup=False)
+    if summary["metrics"]["fault"]:
+        stderr.print(f"stopped: {summary['metrics']['fault']}", markup=False)
+    stdout.print(
+        f"{summary['scenario']}: {'all expectations held' if summary['held'] else 'NOT as expected'}; {folder}"
+    )
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A progress bar on a terminal, nothing elsewhere."""
+    if not stderr.is_terminal:
+        yield None
+        return
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeRemainingColumn(),
+        console=stderr,
+    ) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

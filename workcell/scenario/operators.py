@@ -1,0 +1,92 @@
+"""Who drives an arm that is not autonomous: one table for each `kind` of operator."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from workcell.scenario.values import NonNegative, Positive, Probability, Quaternion, Table, Vector3
+
+
+class Hold(Table):
+    """The arm keeps the tool pose it starts with."""
+
+    kind: Literal["hold"]
+
+
+class Waypoint(Table):
+    """A tool pose in the world; without `wxyz` the orientation of the waypoint before is kept."""
+
+    position_m: Vector3
+    wxyz: Quaternion | None = None
+
+
+class Waypoints(Table):
+    """The tool follows a smooth path through waypoints, starting where it is; then, `repeat` times, back and forth along them."""
+
+    kind: Literal["waypoints"]
+    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    speed_m_s: Positive = 0.15
+    acceleration_m_s2: Positive = 0.5
+    start_s: NonNegative = 0.0
+    repeat: Annotated[int, Field(ge=0)] = 0
+    pause_s: NonNegative = 0.0
+
+
+class _Followed(Table):
+    """An input that may leap: caps on the target that follows it, and what counts as a leap."""
+
+    max_speed_m_s: Positive = 0.5
+    max_acceleration_m_s2: Positive = 2.0
+    max_turn_rad_s: Positive = 1.0
+    max_turn_rad_s2: Positive = 4.0
+    jump_m: Positive = 0.05
+    jump_rad: Positive = 0.35
+
+
+class Recording(_Followed):
+    """The tool follows a recorded stream of poses; docs/teleop.md has the format and the rules."""
+
+    kind: Literal["recording"]
+    file: str
+    start_s: NonNegative = 0.0
+    gap_s: Positive = 0.25
+
+
+class Human(Table):
+    """A simulated person who works at sites; positions are in the world."""
+
+    kind: Literal["human"]
+    sites: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    speed_m_s: Positive = 0.2
+    acceleration_m_s2: Positive = 0.5
+    pause_s: tuple[Positive, Positive] = (0.3, 2.0)
+    stop_probability: Probability = 0.3
+    withdraw_probability: Probability = 0.1
+    withdraw_m: Vector3 = (0.0, 0.0, 0.10)
+    withdraw_speed_m_s: Positive = 0.4
+    withdraw_acceleration_m_s2: Positive = 1.5
+    elbow_probability: Probability = 0.1
+    elbow_shift_m: Positive = 0.05
+    tremor_m: NonNegative = 6e-5
+    start_s: NonNegative = 0.5
+
+    @model_validator(mode="after")
+    def _pause_has_an_order(self) -> Human:
+        if self.pause_s[0] > self.pause_s[1]:
+            raise ValueError("pause_s is the shortest and the longest pause, in this order")
+        return self
+
+
+class Live(_Followed):
+    """A person, through `workcell teleop`; times are those after which a fault is named."""
+
+    kind: Literal["live"]
+    stale_s: Positive = 0.1
+    late_s: Positive = 0.1
+    frozen_s: NonNegative = 0.0
+    jump_confirm_s: NonNegative = 0.1
+
+
+Operator = Annotated[Hold | Waypoints | Recording | Human | Live, Field(discriminator="kind")]
