@@ -131,6 +131,7 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[int, mujoco.MjData, Controller], bool | None] | None = None,
     flush_s: float = FLUSH_S,
+    check: LatchedCheck | None = None,
 ) -> Ending:
     """Step the plant with the controller in its callback; every tick becomes a row of the trace.
 
@@ -141,6 +142,8 @@ def simulate(
         watch: Called before every tick with its number, the plant's true state, which it may not
             change, and the controller, to which it may offer samples and changes; True ends the run.
         flush_s: Simulated time of trace that a kill may cost.
+        check: A final check that is running already; None starts one in lock-step if the scenario
+            wants it.
     """
     scenario = cell.scenario
     plant = _without_sensors(cell.model)
@@ -148,7 +151,9 @@ def simulate(
     cell.place_home(data)
     step = _step_kinematic if scenario.simulation.plant == "kinematic" else _step_dynamic
     fault, interrupted = None, False
-    with final_check(cell, out) as check, ExitStack() as stack:
+    with ExitStack() as stack:
+        if check is None:
+            check = stack.enter_context(final_check(cell, out))
         controller = Controller(cell, check=check)
         trace = stack.enter_context(
             TraceWriter(out, layout(cell), metadata(cell), cell.period_s, flush_s=flush_s)
@@ -173,8 +178,13 @@ def simulate(
 
 
 @contextmanager
-def final_check(cell: Cell, out: Path) -> Iterator[LatchedCheck | None]:
+def final_check(cell: Cell, out: Path, *, live: bool = False) -> Iterator[LatchedCheck | None]:
     """Start the final check in its own process, unless the scenario switches it off.
+
+    Args:
+        cell: What is simulated.
+        out: Run folder that holds the scene.
+        live: Whether time goes on while the checker works; see `LatchedCheck`.
 
     Raises:
         InputError: an arm has no geometry the check could judge.
@@ -192,7 +202,7 @@ def final_check(cell: Cell, out: Path) -> Iterator[LatchedCheck | None]:
             raise refusal(cell, [without_geometry(check.missing)])
         if verdict.must_stop:
             raise refusal(cell, [f"{verdict.state}: {verdict.reason}"])
-        yield LatchedCheck(check, period_s=cell.period_s)
+        yield LatchedCheck(check, period_s=cell.period_s, live=live)
 
 
 def conclude(cell: Cell, out: Path, ending: Ending) -> dict:

@@ -7,13 +7,14 @@ an instrument over, `<arm>_<instrument>` where one is fetched.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from workcell.errors import InputError
 from workcell.guard.checker import Checker
 from workcell.guard.geometry import HOUSING_GROUP
-from workcell.guard.settings import CheckSettings, Exemption, Held
+from workcell.guard.settings import DEADLINE_S, CheckSettings, Exemption, Held
 from workcell.scenario import Exchange, Fetch, Meet
 from workcell.scene.cell import Cell
 from workcell.scene.contacts import hand_bodies
@@ -39,6 +40,7 @@ def check_settings(cell: Cell) -> CheckSettings:
         d_min_m=d_min,
         period_s=cell.period_s,
         every_ticks=scenario.check.every_ticks,
+        max_age_ticks=math.ceil(DEADLINE_S / cell.period_s) + 1,
         exemptions=_exemptions(cell, d_min),
         instruments=tuple(Held(item.name, item.rests_on) for item in cell.instruments),
         hands=tuple(

@@ -2,7 +2,8 @@
 
 Joint positions go in, a `Verdict` comes out: clear, halt, or the name of what is wrong with the
 checker. Headless runs ask in lock-step (`check`), so that a trace does not depend on how fast
-the checker was; live runs post and look (`post`, `poll`). Section VI of the paper.
+the checker was; live runs look without waiting (`look`, made of `poll`
+and `post`). Section VI of the paper.
 """
 
 from __future__ import annotations
@@ -192,6 +193,14 @@ class FinalCheck:
         self._given_up = self._last is None or self._last.sequence != self._sequence
         return verdict
 
+    def look(self, tick: int, qpos: NDArray[np.float64]) -> Verdict:
+        """Free-run: reads what the checker has answered, then hands over the configuration (nq,) of this tick.
+
+        Only the first answer is waited for, since nothing may move before it has been looked at once.
+        """
+        seen = self.poll(tick) if self._sequence else None
+        return self.post(tick, qpos) or seen or self.poll(tick)
+
     def post(self, tick: int, qpos: NDArray[np.float64]) -> Verdict | None:
         """Free-run: hands over a configuration (nq,) unless one is still being checked.
 
@@ -224,7 +233,7 @@ class FinalCheck:
         return None
 
     def poll(self, tick: int | None = None) -> Verdict:
-        """Free-run: the newest verdict, without waiting; only the first answer is waited for.
+        """Free-run: the newest verdict, without waiting; only the first answer is waited for, for `lockstep_deadline_s` at most.
 
         Args:
             tick: The current tick; the one last posted if left out.
@@ -233,9 +242,9 @@ class FinalCheck:
             return self._fault(CheckState.OFF, "the final check is switched off")
         if tick is not None:
             self._tick = tick
-        # Nothing may move before it has been looked at once, so the first answer is waited for.
+        # The first answer comes before anything moves: here a slow start costs time, not distance.
         first = self._last is None and self._sequence > 0
-        verdict = self._await(self._settings.deadline_s if first else 0.0)
+        verdict = self._await(self._settings.lockstep_deadline_s if first else 0.0)
         if verdict.must_stop:
             return verdict
         if verdict.age_ticks > self._settings.max_age_ticks:

@@ -14,6 +14,9 @@ from dataclasses import asdict, dataclass, field
 
 from workcell.errors import InputError
 
+DEADLINE_S = 0.05
+"""Live deadline. Chosen as about a hundred times the median of a check, above the scheduling pauses of
+an ordinary desktop, and below what an arm at 0.25 m/s needs for 15 mm."""
 FAULT_KINDS = (
     "crash_at_start",
     "hang_at_start",
@@ -95,18 +98,17 @@ class CheckSettings:
     ceiling_m: float = 0.5
     """Distances beyond this are reported as this, m. Chosen well above any d_min, yet small
     enough that most pairs of a cell are dismissed by their bounding spheres."""
-    deadline_s: float = 0.05
-    """Live: longest wait for an answer, s. Chosen as about a hundred times the median of a
-    check, above the scheduling pauses of an ordinary desktop, and below what an arm at
-    0.25 m/s needs for 15 mm."""
+    deadline_s: float = DEADLINE_S
+    """Live: an answer that takes longer stops the arms, s."""
     lockstep_deadline_s: float = 5.0
-    """Headless: longest wait for an answer, s. Simulated time stands still meanwhile, so it only
-    has to end a run that would hang; chosen to survive a busy build machine."""
+    """Headless, and live for the first answer, before which nothing moves: longest wait, s. Simulated
+    time stands still meanwhile, so it only has to end a run that would hang; chosen to survive a busy
+    build machine."""
     start_deadline_s: float = 30.0
     """Longest wait for the checker to load the scene, s. Chosen for a cold disk cache."""
     max_age_ticks: int = 25
-    """Live: an answer older than this many ticks no longer counts. Chosen as the 50 ms of
-    `deadline_s` at 2 ms ticks, so that neither clock hides a slow checker from the other."""
+    """Live: an answer older than this many ticks no longer counts. The default is `deadline_s` at 2 ms
+    ticks, so that neither clock hides a slow checker from the other; a run sets it by its own period."""
     exemptions: tuple[Exemption, ...] = ()
     """Pairs that may meet inside a declared window."""
     instruments: tuple[Held, ...] = ()

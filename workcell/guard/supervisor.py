@@ -64,7 +64,8 @@ class LatchedCheck:
         self._check = check
         self._latch = HaltLatch(period_s)
         self._period_s = period_s
-        self._live = live
+        self.is_live = live
+        """Whether nobody waits for the checker."""
         self._open: set[str] = set()
 
     @property
@@ -107,10 +108,7 @@ class LatchedCheck:
         for name in sorted(self._open - set(windows)):
             self._check.close_exemption(name)
         self._open = set(windows)
-        if self._live:
-            verdict = self._check.post(tick, qpos) or self._check.poll(tick)
-        else:
-            verdict = self._check.check(tick, qpos)
+        verdict = self._check.look(tick, qpos) if self.is_live else self._check.check(tick, qpos)
         self._latch.trip(verdict, tick)
         return verdict
 

@@ -126,9 +126,12 @@ def teleop(
     mujoco.mj_kinematics(cell.model, data)
     markers = {arm.name: tool_pose(data, arm.tool_site) for arm in cell.arms if arm.name in live}
     scene_xml = out / runner.SCENE_FOLDER / runner.SCENE_FILE
-    with Window(scene_xml, markers, data.qpos, gamepad=gamepad) as window:
+    with (
+        Window(scene_xml, markers, data.qpos, gamepad=gamepad) as window,
+        runner.final_check(cell, out, live=True) as check,
+    ):
         session = _Session(cell, window, stream, say)
-        ending = runner.simulate(cell, out, watch=session.watch)
+        ending = runner.simulate(cell, out, watch=session.watch, check=check)
     session.pace.account.frames = window.frames
     if stream:
         stream.close()
