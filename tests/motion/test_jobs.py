@@ -68,6 +68,19 @@ def order(seen) -> list[str]:
     return [name for name, _ in groupby(name for name, _ in seen)]
 
 
+def test_what_lies_ahead_runs_from_the_present_clock_to_the_goal():
+    jobs = sequence(move((0.3, 0.0, 0.0)))
+    assert jobs.ahead().shape == (0, 3)
+    for _ in range(60):
+        jobs.advance(DT, 1.0, around())
+    ahead = jobs.ahead(7)
+    assert ahead.shape == (7, 3)
+    assert ahead[0] == pytest.approx(jobs.target().position_m)
+    assert 0.0 < ahead[0, 0] < 0.3
+    assert ahead[-1] == pytest.approx([0.3, 0.0, 0.0])
+    assert (np.diff(ahead[:, 0]) >= 0.0).all()
+
+
 def test_jobs_come_in_order_and_end_at_rest():
     jobs = sequence(
         move((0.1, 0.2, 0.0), (0.2, 0.0, 0.0)),

@@ -103,6 +103,11 @@ class Controller:
         """The operators by the name of their arm."""
         return {arm.addresses.name: arm.operator for arm in self._arms if arm.operator is not None}
 
+    @property
+    def jobs(self) -> dict[str, JobSequence]:
+        """The job sequences by the name of their arm, to be looked at only."""
+        return {arm.addresses.name: arm.jobs for arm in self._arms if arm.jobs is not None}
+
     def drive(self, arm: str, operator: Operator) -> None:
         """Put another operator in the place of an arm's own: a replay does so for one who was live."""
         next(a for a in self._arms if a.addresses.name == arm).operator = operator

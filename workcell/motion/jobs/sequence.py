@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from workcell import scenario
 from workcell.motion.jobs.goals import (
     APPROACH_SIDES,
@@ -123,6 +125,14 @@ class JobSequence:
     def target(self) -> Target:
         """The pose and twist wanted at the present clock."""
         return self._target
+
+    def ahead(self, count: int = 20) -> Vector:
+        """(count, 3) points in m along what is left of the present path, from the present clock on; (0, 3) without a path."""
+        if not self._legs:
+            return np.empty((0, 3))
+        path = self._legs[0].path
+        clocks = np.linspace(min(self.clock_s, path.duration_s), path.duration_s, count)
+        return np.array([path.target(float(clock)).position_m for clock in clocks])
 
     def enter_from(self, entry: scenario.Entry, around: Surroundings) -> bool:
         """Change the approach side of a presentation, also on the way; False if nothing is being presented."""
