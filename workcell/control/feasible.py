@@ -21,6 +21,7 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import ArmIk, ToolTask
 from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
+from workcell.motion.operators import faults as operator_faults
 from workcell.motion.operators import make_operator
 from workcell.motion.path import PathGeometry, Target, path_through, standing
 from workcell.scene.addresses import ArmAddresses
@@ -48,6 +49,7 @@ def check(cell: Cell) -> None:
     faults: list[str] = []
     belief = mink.Configuration(cell.model)
     for arm, addresses in zip(cell.scenario.arm, cell.arms, strict=True):
+        faults += _operator_faults(cell, arm, addresses, belief)
         unreached = list(_out_of_reach(cell, arm, addresses, belief))
         # Where a path cannot be followed at all, no speed is worth a word.
         faults += unreached or _too_fast(cell, arm, addresses)
@@ -55,6 +57,26 @@ def check(cell: Cell) -> None:
             faults += _no_room_to_brake(cell, arm, addresses, belief)
     if faults:
         raise InputError(faults, file=cell.scenario.file)
+
+
+def _operator_faults(
+    cell: Cell, arm: scenario.Arm, addresses: ArmAddresses, belief: mink.Configuration
+) -> list[str]:
+    """What the arm's operator itself finds wrong with its input."""
+    if arm.operator is None:
+        return []
+    cell.place_home(belief.data)
+    belief.update()
+    pose = belief.get_transform_frame_to_world(addresses.tool_site_name, "site")
+    simulation = cell.scenario.simulation
+    found = operator_faults(
+        arm.operator,
+        pose.translation(),
+        pose.rotation().wxyz,
+        duration_s=simulation.duration_s,
+        period_s=simulation.period_s,
+    )
+    return [f"arm.{arm.name}.operator.{fault}" for fault in found]
 
 
 def _out_of_reach(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from workcell.errors import InputError
-from workcell.motion.operators.recording import Samples, write
+from workcell.motion.operators.recording_file import Samples, write
 from workcell.motion.orientation import rotation_between
 from workcell.scenario import Recording, Scenario
 from workcell.trace.table import Trace, load

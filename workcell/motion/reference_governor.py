@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell import scenario
 from workcell.motion.orientation import rotation_between, turned
 from workcell.motion.path import Target, length, standing
 from workcell.motion.setpoint import CATCHING_UP, VALID
@@ -39,6 +40,16 @@ class Caps:
     acceleration_m_s2: float
     turn_rad_s: float
     turn_rad_s2: float
+
+    @classmethod
+    def of(cls, settings: scenario.Recording | scenario.Live) -> Caps:
+        """Those of an operator whose input may leap."""
+        return cls(
+            settings.max_speed_m_s,
+            settings.max_acceleration_m_s2,
+            settings.max_turn_rad_s,
+            settings.max_turn_rad_s2,
+        )
 
 
 class ReferenceGovernor:

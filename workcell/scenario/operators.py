@@ -34,7 +34,7 @@ class Waypoints(Table):
     pause_s: NonNegative = 0.0
 
 
-class _Followed(Table):
+class Followed(Table):
     """An input that may leap: caps on the target that follows it, and what counts as a leap."""
 
     max_speed_m_s: Positive = 0.5
@@ -43,9 +43,10 @@ class _Followed(Table):
     max_turn_rad_s2: Positive = 4.0
     jump_m: Positive = 0.05
     jump_rad: Positive = 0.35
+    jump_confirm_s: NonNegative = 0.1
 
 
-class Recording(_Followed):
+class Recording(Followed):
     """The tool follows a recorded stream of poses; docs/teleop.md has the format and the rules."""
 
     kind: Literal["recording"]
@@ -79,14 +80,13 @@ class Human(Table):
         return self
 
 
-class Live(_Followed):
+class Live(Followed):
     """A person, through `workcell teleop`; times are those after which a fault is named."""
 
     kind: Literal["live"]
     stale_s: Positive = 0.1
     late_s: Positive = 0.1
     frozen_s: NonNegative = 0.0
-    jump_confirm_s: NonNegative = 0.1
 
 
 Operator = Annotated[Hold | Waypoints | Recording | Human | Live, Field(discriminator="kind")]

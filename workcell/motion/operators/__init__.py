@@ -16,10 +16,11 @@ from workcell import scenario
 from workcell.motion.operators.human import HumanOperator
 from workcell.motion.operators.live import LiveOperator
 from workcell.motion.operators.recording import RecordingOperator
+from workcell.motion.operators.recording import faults as recording_faults
 from workcell.motion.operators.scripted import HoldOperator, WaypointsOperator
 from workcell.motion.setpoint import Operator
 
-__all__ = ["Operator", "make_operator"]
+__all__ = ["Operator", "faults", "make_operator"]
 
 
 def make_operator(
@@ -54,3 +55,29 @@ def make_operator(
         case scenario.Live():
             return LiveOperator(settings, position_m, wxyz, period_s=period_s)
     return HoldOperator(position_m, wxyz)
+
+
+def faults(
+    settings: scenario.Operator,
+    position_m: NDArray[np.float64],
+    wxyz: NDArray[np.float64],
+    *,
+    duration_s: float,
+    period_s: float,
+) -> list[str]:
+    """Why an operator could not drive its arm through a run, as far as this shows before the run.
+
+    Args:
+        settings: From the scenario.
+        position_m, wxyz: Tool pose at the start.
+        duration_s: Length of the run.
+        period_s: Control period.
+
+    Returns:
+        One sentence for each fault, naming key, value and what is allowed; empty where there is none.
+    """
+    if isinstance(settings, scenario.Recording):
+        return recording_faults(
+            settings, position_m, wxyz, duration_s=duration_s, period_s=period_s
+        )
+    return []

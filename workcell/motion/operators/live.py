@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
-from workcell.motion.operators.samples import Sample, SampleFilter, Tolerances
+from workcell.motion.operators.samples import JumpRule, Sample, SampleFilter, Tolerances
 from workcell.motion.path import standing
 from workcell.motion.reference_governor import Caps, ReferenceGovernor
 from workcell.motion.setpoint import VALID, Setpoint
@@ -35,19 +35,11 @@ class LiveOperator:
                 stale_s=settings.stale_s,
                 late_s=settings.late_s,
                 frozen_s=settings.frozen_s,
-                jump_m=settings.jump_m,
-                jump_rad=settings.jump_rad,
-                jump_confirm_s=settings.jump_confirm_s,
                 unit=scenario.UNIT_QUATERNION_TOLERANCE,
-            )
+            ),
+            JumpRule(settings),
         )
-        caps = Caps(
-            settings.max_speed_m_s,
-            settings.max_acceleration_m_s2,
-            settings.max_turn_rad_s,
-            settings.max_turn_rad_s2,
-        )
-        self._governor = ReferenceGovernor(caps, position_m, wxyz, period_s=period_s)
+        self._governor = ReferenceGovernor(Caps.of(settings), position_m, wxyz, period_s=period_s)
         self.start = standing(position_m, wxyz)
         """The pose kept until the first sample."""
         self._came: deque[Sample] = deque()
@@ -59,10 +51,10 @@ class LiveOperator:
     def setpoint(self, time_s: float) -> Setpoint:
         worst = VALID
         while self._came:
-            verdict = self._filter.take(time_s, self._came.popleft())
+            verdict = self._filter.judge(time_s, self._came.popleft())
             # Of several samples in one tick a bad one is named even where a good one follows.
             worst = verdict if verdict != VALID else worst
-        sample, state = self._filter.look(time_s)
+        sample, state = self._filter.state(time_s)
         state = worst if state == VALID else state
         if sample is None:
             wanted = self.start
