@@ -42,7 +42,8 @@ from workcell.simulation.measurement import Measurement
 from workcell.trace import metrics
 from workcell.trace.expectations import judge
 from workcell.trace.preflight import check_space, check_writable
-from workcell.trace.table import FLUSH_S, Trace, TraceWriter, load
+from workcell.trace.table import Trace, load
+from workcell.trace.writer import FLUSH_S, TraceWriter
 
 SCENARIO_FILE = "scenario.toml"
 SUMMARY_FILE = "summary.json"

@@ -27,7 +27,7 @@ from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.control.share import Watched
 from workcell.scene import cell as scene
-from workcell.trace.table import TraceWriter
+from workcell.trace.writer import TraceWriter
 
 STAGES = (
     ("whole tick", Controller, "step"),

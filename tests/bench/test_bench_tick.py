@@ -22,7 +22,7 @@ from workcell.control.ik import ArmIk
 from workcell.control.kernels import library
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
-from workcell.trace.table import TraceWriter
+from workcell.trace.writer import TraceWriter
 
 TICK_BUDGET = 1.6
 """A whole tick may cost this many times the bare inverse kinematics with compiled code; docs/performance.md has the aim, 1.35."""

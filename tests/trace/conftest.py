@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from workcell.signals import Layout, columns
-from workcell.trace.table import Trace, TraceWriter, load
+from workcell.trace.table import Trace, load
+from workcell.trace.writer import TraceWriter
 
 PERIOD_S = 0.004
 T_MIN_S = 0.8

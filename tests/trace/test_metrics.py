@@ -23,7 +23,8 @@ from workcell.trace.metrics import (
     summarise,
     support_arm,
 )
-from workcell.trace.table import TraceWriter, load
+from workcell.trace.table import load
+from workcell.trace.writer import TraceWriter
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +111,7 @@ def test_blocks_leave_no_mark_in_the_metrics(run, summary, monkeypatch):
     leaving = ((rate > 1e-4) | (distance > 0.8 * 0.1)).all(axis=1) & (job == "retreat")
     distance[np.ix_(holders == "probe=nurse", [2, 5])] = np.inf
     whole = summarise(trace)
-    monkeypatch.setattr("workcell.trace.table._ROW_GROUP_ROWS", 64)
+    monkeypatch.setattr("workcell.trace.stored._ROW_GROUP_ROWS", 64)
     np.testing.assert_array_equal(smallest_distance_m(trace), distance.min(axis=1))
     assert (smallest_distance_m(trace) > trace["pair_distance_m"].min(axis=1)).any()
     assert leaving.any()

@@ -7,10 +7,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from workcell.errors import TraceError
-from workcell.trace import table
 from workcell.trace.journal import JournalReader, JournalWriter
 from workcell.trace.salvage import salvage
-from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, convert, load
+from workcell.trace.stored import INTEGRITY_KEY, convert
+from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, load
 from workcell.view import recording as view
 
 RECORDING = "recording.rrd"
@@ -20,12 +20,12 @@ BATCH = 100
 @pytest.fixture
 def damaged(run, tmp_path, monkeypatch):
     """A folder with the run's trace as journal and as table of several row groups."""
-    monkeypatch.setattr(table, "_ROW_GROUP_ROWS", 4 * BATCH)
+    monkeypatch.setattr("workcell.trace.stored._ROW_GROUP_ROWS", 4 * BATCH)
     folder = tmp_path / "damaged"
     folder.mkdir()
     journal = folder / JOURNAL_NAME
     schema = run.trace.table.schema
-    entries = {k: v for k, v in schema.metadata.items() if k != table.INTEGRITY_KEY}
+    entries = {k: v for k, v in schema.metadata.items() if k != INTEGRITY_KEY}
     writer = JournalWriter(journal, schema.with_metadata(entries))
     for batch in (
         run.trace.table.replace_schema_metadata(entries).combine_chunks().to_batches(BATCH)

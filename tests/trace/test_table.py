@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from workcell.errors import TraceError
 from workcell.signals import ARM_SIGNALS, CELL_SIGNALS, Layout, columns
-from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, TraceWriter, load
+from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, load
+from workcell.trace.writer import TraceWriter
 
 LAYOUT = Layout(
     arms=("surgeon", "nurse"), joints=("s1", "n1"), nq=2, nv=2, pairs=(("s/a", "n/a"), ("s/b", "t"))
@@ -166,7 +167,7 @@ def test_empty_things_are_traces_too(tmp_path, layout, count):
 
 
 def test_a_long_run_crosses_row_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr("workcell.trace.table._ROW_GROUP_ROWS", 16)
+    monkeypatch.setattr("workcell.trace.stored._ROW_GROUP_ROWS", 16)
     write(tmp_path, 50, flush_s=10 * PERIOD_S)
     assert pq.ParquetFile(tmp_path / TRACE_NAME).metadata.num_row_groups == 4
     assert load(tmp_path)["tick"].tolist() == list(range(50))
@@ -175,7 +176,7 @@ def test_a_long_run_crosses_row_groups(tmp_path, monkeypatch):
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_column_in_blocks_is_the_column(tmp_path, monkeypatch, closed):
     """Nulls, strings and vectors alike, from the file and from a journal."""
-    monkeypatch.setattr("workcell.trace.table._ROW_GROUP_ROWS", 16)
+    monkeypatch.setattr("workcell.trace.stored._ROW_GROUP_ROWS", 16)
     writer = write(tmp_path, 50, close=closed, flush_s=7 * PERIOD_S)
     writer.flush()
     trace = load(tmp_path)
@@ -353,7 +354,7 @@ def test_a_truncated_table_is_refused(tmp_path, kept):
 
 
 def test_a_newer_schema_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("workcell.trace.table.SCHEMA_VERSION", 2)
+    monkeypatch.setattr("workcell.trace.writer.SCHEMA_VERSION", 2)
     write(tmp_path, 1)
     monkeypatch.undo()
     with pytest.raises(TraceError, match="schema version 2 is newer than 1"):

@@ -6,7 +6,8 @@ from rerun.chunk import RrdReader
 
 from tests.view.viewer import NoDriver, look
 from workcell.errors import TraceError
-from workcell.trace.table import TraceWriter, load
+from workcell.trace.table import load
+from workcell.trace.writer import TraceWriter
 from workcell.view import recording as view
 
 

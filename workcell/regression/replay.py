@@ -29,7 +29,8 @@ from workcell.motion.setpoint import Setpoint
 from workcell.regression.reference import States, Targets
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
-from workcell.trace.table import Trace, TraceWriter, load
+from workcell.trace.table import Trace, load
+from workcell.trace.writer import TraceWriter
 
 Progress = Callable[[int, int], None]
 

@@ -19,7 +19,8 @@ import pyarrow.parquet as pq
 
 from workcell.errors import TraceError
 from workcell.trace.journal import JournalReader, JournalWriter
-from workcell.trace.table import INTEGRITY_KEY, JOURNAL_NAME, TRACE_NAME, convert, load
+from workcell.trace.stored import INTEGRITY_KEY, convert
+from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, load
 
 _REPAIR_TIMEOUT_S = 120.0
 """Chosen as a hundred times what the largest recording so far took."""

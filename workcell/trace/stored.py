@@ -1,14 +1,16 @@
 """The rows of a parquet trace, on disk: verified once, then read as they are asked for.
 
-In comes a file; out come its columns, whole or a row group at a time. A ten-minute run has 1.5 GB
-of rows, of which nearly all are two vectors over pairs; whoever goes through those in pieces needs
-some ten megabytes whatever the length of the run. The file stays open, so that what is read is
-what was verified, also where the run folder is written anew meanwhile.
+`convert` writes the file from a journal; `StoredTable` gives its columns, whole or a row group at a
+time. A ten-minute run has 1.5 GB of rows. Nearly all of them are two vectors over pairs; a reader
+that goes through those in pieces needs some ten megabytes, whatever the length of the run. The file
+stays open, so that the rows that are read are the rows that were verified, even if the run folder is
+written anew meanwhile.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,9 +21,14 @@ import pyarrow.parquet as pq
 
 from workcell.errors import TraceError
 from workcell.trace.digest import TableDigest
+from workcell.trace.journal import JournalReader
 
 INTEGRITY_KEY = b"integrity_sha256"
 """Metadata entry with the hash over rows and metadata."""
+
+_ROW_GROUP_ROWS = 8192
+"""Rows a row group holds, and a block of a column: chosen so that a conversion needs some ten
+megabytes whatever the length of the run, while columns stay long enough to compress."""
 
 _RECENT = 8
 """Columns of scalars that are kept, the time above all, which is asked for again and again; chosen for
@@ -111,12 +118,60 @@ class StoredTable:
 
 
 def pieces_of(
-    table: pa.Table, name: str, ticks: Sequence[int] | None, rows: int
+    table: pa.Table, name: str, ticks: Sequence[int] | None
 ) -> Iterator[tuple[int, pa.ChunkedArray]]:
-    """`StoredTable.pieces` of a table in memory, in pieces of so many rows."""
-    for start in range(0, table.num_rows, rows):
-        if _any_within(ticks, start, start + rows):
-            yield start, table.column(name).slice(start, rows)
+    """`StoredTable.pieces` of a table in memory, as if it lay in row groups."""
+    for start in range(0, table.num_rows, _ROW_GROUP_ROWS):
+        if _any_within(ticks, start, start + _ROW_GROUP_ROWS):
+            yield start, table.column(name).slice(start, _ROW_GROUP_ROWS)
+
+
+def convert(journal: Path, target: Path) -> None:
+    """Writes a journal's intact batches as parquet, in memory that does not grow with the run."""
+    batches = JournalReader(journal)
+    temporary = target.with_name(target.name + ".part")
+    floats = [
+        field.name + (".list.element" if pa.types.is_list(field.type) else "")
+        for field in batches.schema
+        if pa.types.is_floating(getattr(field.type, "value_type", field.type))
+    ]
+    strings = [field.name for field in batches.schema if pa.types.is_string(field.type)]
+    digest = TableDigest(batches.schema)
+    try:
+        with pq.ParquetWriter(
+            temporary,
+            batches.schema,
+            compression="zstd",
+            use_dictionary=strings,  # pyright: ignore[reportArgumentType] (pyarrow takes a list)
+            column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+            write_page_checksum=True,
+        ) as writer:
+            for table in _regroup(batches):
+                writer.write_table(table)
+                for batch in table.to_batches():
+                    digest.update(batch)
+            writer.add_key_value_metadata({INTEGRITY_KEY: integrity(digest, batches.schema)})
+        os.replace(temporary, target)
+    except OSError as error:
+        raise TraceError(f"{target}: cannot be written: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _regroup(batches: Iterator[pa.RecordBatch] | JournalReader) -> Iterator[pa.Table]:
+    """The same rows in tables of `_ROW_GROUP_ROWS`, whatever the batches were."""
+    waiting: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in batches:
+        waiting.append(batch)
+        rows += len(batch)
+        while rows >= _ROW_GROUP_ROWS:
+            table = pa.Table.from_batches(waiting)
+            yield table.slice(0, _ROW_GROUP_ROWS).combine_chunks()
+            waiting = table.slice(_ROW_GROUP_ROWS).combine_chunks().to_batches()
+            rows -= _ROW_GROUP_ROWS
+    if rows:
+        yield pa.Table.from_batches(waiting).combine_chunks()
 
 
 def integrity(digest: TableDigest, table_schema: pa.Schema) -> bytes:
