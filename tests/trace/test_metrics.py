@@ -10,17 +10,15 @@ from hypothesis import strategies as st
 
 from workcell.errors import TraceError
 from workcell.signals import Layout
-from workcell.trace.metrics import (
+from workcell.trace.metrics import decay_time_s, reversals, summarise
+from workcell.trace.readings import (
     Span,
-    decay_time_s,
     joint_columns,
     longest_scaling,
     period_s,
-    reversals,
     scaled_down,
     smallest_distance_m,
     spans,
-    summarise,
     support_arm,
 )
 from workcell.trace.table import load

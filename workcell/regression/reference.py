@@ -32,7 +32,7 @@ from workcell.regression.compare import (
     ties,
 )
 from workcell.signals import Column, columns
-from workcell.trace.metrics import period_s
+from workcell.trace.readings import period_s
 from workcell.trace.table import Trace
 
 ROW_S = 0.5

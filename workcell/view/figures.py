@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from workcell.errors import TraceError
-from workcell.trace.metrics import (
+from workcell.trace.readings import (
     Span,
     control_setting,
     period_s,

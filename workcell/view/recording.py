@@ -26,7 +26,7 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 
 from workcell.errors import TraceError
-from workcell.trace.metrics import control_setting, period_s, smallest_distance_m
+from workcell.trace.readings import control_setting, period_s, smallest_distance_m
 from workcell.trace.rerun_viewer import viewer_binary
 from workcell.trace.table import Trace
 from workcell.view.palette import (
