@@ -9,6 +9,10 @@ from workcell.errors import TraceError
 from workcell.trace.table import load
 from workcell.trace.writer import TraceWriter
 from workcell.view import recording as view
+from workcell.view import viewer
+from workcell.view.blueprint import VIEW_NAMES
+from workcell.view.limits import DANGER_MARGIN
+from workcell.view.palette import DANGER
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +49,8 @@ def test_geometry_is_drawn_fifty_times_a_second(run, content):
     assert len(poses) == len(run.trace) / 5
     assert len(poses[0]) == 3, "three capsules an arm"
     colours = content["/world/witness"]["LineStrips3D:colors"]
-    red = sum(colour[0] >> 8 == int.from_bytes(bytes(view.DANGER)) for colour in colours)
-    danger = run.trace["ttc_s"][::5] < 0.8 * view.DANGER_MARGIN
+    red = sum(colour[0] >> 8 == int.from_bytes(bytes(DANGER)) for colour in colours)
+    danger = run.trace["ttc_s"][::5] < 0.8 * DANGER_MARGIN
     assert red == danger.sum()
     assert 0 < red < len(colours)
 
@@ -84,19 +88,19 @@ def test_misfits_are_refused(run, tmp_path):
     with pytest.raises(TraceError, match="no rows"):
         view.record(load(tmp_path / "empty"), run.scene, tmp_path / "r.rrd")
     with pytest.raises(TraceError, match="no such recording"):
-        view.open_viewer(tmp_path / "r.rrd")
+        viewer.open_viewer(tmp_path / "r.rrd")
     assert list(tmp_path.glob("r.rrd*")) == []
 
 
 @pytest.mark.parametrize("web", [False, True])
 def test_the_viewer_listens_to_this_machine_only(recording, monkeypatch, web):
     started = []
-    monkeypatch.setattr(view.subprocess, "Popen", started.append)
-    view.open_viewer(recording, web=web)
+    monkeypatch.setattr(viewer.subprocess, "Popen", started.append)
+    viewer.open_viewer(recording, web=web)
     command = started[0]
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert ("--serve-web" in command) == web
-    assert view.viewer_binary().is_file()
+    assert viewer.viewer_binary().is_file()
 
 
 def test_the_viewer_shows_it(recording, tmp_path):
@@ -104,7 +108,7 @@ def test_the_viewer_shows_it(recording, tmp_path):
         sight = look(recording, tmp_path / "view.png", 1.6)
     except NoDriver as error:
         pytest.skip(f"no Vulkan driver to draw with: {error}")
-    assert sight.views == set(view.VIEW_NAMES)
+    assert sight.views == set(VIEW_NAMES)
     assert sight.problems == []
     assert sight.errors == []
     assert sight.timelines >= {"sim_time", "tick"}

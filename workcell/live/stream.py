@@ -18,7 +18,7 @@ import rerun as rr
 
 from workcell.control.record import TickRecord
 from workcell.scene.cell import Cell
-from workcell.view.recording import body_surfaces
+from workcell.view.geometry import body_surfaces
 
 PORT = 9876
 """The rerun viewer's own default."""

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.regression.compare import TTC_SIGNALS, Comparison, Difference, Excerpt, condensed
+from workcell.view.limits import TTC_CAP_IN_T_MIN
 from workcell.view.palette import COMMANDED, DANGER, unit_rgb
 
-TTC_CAP_IN_T_MIN = 5.0
-"""Times to collision are drawn up to this many t_min, as in the other pictures."""
 PANELS = 6
 """Quantities drawn; beyond it they would be too low to read."""
 SPARSE = 0.5

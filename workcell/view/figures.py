@@ -32,6 +32,7 @@ from workcell.trace.readings import (
     support_arm,
 )
 from workcell.trace.table import Trace
+from workcell.view.limits import TTC_CAP_IN_T_MIN
 from workcell.view.palette import (
     COMMANDED,
     LIMIT,
@@ -43,8 +44,6 @@ from workcell.view.palette import (
 )
 from workcell.view.stills import NoPictures, render
 
-TTC_CAP_IN_T_MIN = 5.0
-"""Axes of time to collision end at this multiple of t_min, beyond which nothing acts."""
 ENCOUNTER_GAP_S = 0.5
 """Scaling that pauses for less is one encounter: chosen to bridge a change of witness points."""
 ENCOUNTER_LEAST_S = 0.1
