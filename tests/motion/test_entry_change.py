@@ -12,8 +12,9 @@ from workcell.errors import InputError
 from workcell.live.devices import Keys
 from workcell.live.operator_file import REPLAY_FILE, write_replay
 from workcell.regression import replay
-from workcell.regression.compare import compare, excerpt
-from workcell.regression.reference import states
+from workcell.regression.compare import compare
+from workcell.regression.excerpt import excerpt
+from workcell.regression.rows import states
 from workcell.trace.table import load
 
 LEFT_KEY, RIGHT_KEY, ABOVE_KEY = 321, 323, 325

@@ -8,8 +8,9 @@ import pytest
 from tests import cells
 from workcell import run as runner
 from workcell import scenario as scenario_file
-from workcell.regression import bless as regression
-from workcell.regression.reference import States, states
+from workcell.regression import reference as regression
+from workcell.regression.bless import bless
+from workcell.regression.rows import States, states
 from workcell.scene.cell import Cell
 from workcell.trace.table import Trace, load
 
@@ -45,7 +46,7 @@ def duet(tmp_path_factory) -> Duet:
     folder = tmp_path_factory.mktemp("duet")
     file = cells.write(folder, duet_content())
     references = folder / "references"
-    regression.bless(str(file), references, "first", out=folder / "blessed", overrides=OVERRIDES)
+    bless(str(file), references, "first", out=folder / "blessed", overrides=OVERRIDES)
     scenario = scenario_file.load(file, OVERRIDES)
     trace = load(folder / "blessed" / "closed_loop")
     cell = runner.prepare(scenario, folder / "scene")

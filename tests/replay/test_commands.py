@@ -10,8 +10,10 @@ from tests.replay.conftest import duet_content
 from tests.view.viewer import NoDriver, look
 from workcell.cli import main
 from workcell.errors import InputError
-from workcell.regression import bless as regression
-from workcell.regression.compare import compare, excerpt
+from workcell.regression import reference as regression
+from workcell.regression.bless import bless
+from workcell.regression.compare import compare
+from workcell.regression.excerpt import excerpt
 from workcell.regression.recording_of_both import record
 from workcell.trace.table import load
 
@@ -66,7 +68,7 @@ def test_salvage_of_a_whole_run_loses_nothing(duet, tmp_path, capsys):
 
 def test_blessing_takes_a_reason_and_kept_expectations(duet, tmp_path):
     with pytest.raises(InputError, match="REASON"):
-        regression.bless(str(duet.scenario), tmp_path, " ", out=tmp_path)
+        bless(str(duet.scenario), tmp_path, " ", out=tmp_path)
     content = duet_content()
     content["simulation"]["duration_s"] = 0.2
     for expect, message in (
@@ -75,7 +77,7 @@ def test_blessing_takes_a_reason_and_kept_expectations(duet, tmp_path):
     ):
         file = cells.write(tmp_path, content | {"expect": expect})
         with pytest.raises(InputError, match=message):
-            regression.bless(str(file), tmp_path / "references", "why not", out=tmp_path / "out")
+            bless(str(file), tmp_path / "references", "why not", out=tmp_path / "out")
     assert not (tmp_path / "references").exists(), "a refusal leaves no trace"
 
 
@@ -83,7 +85,7 @@ def test_blessing_again_logs_what_changed(duet, tmp_path):
     references = shutil.copytree(duet.references, tmp_path / "references")
     content = duet_content() | {"control": {"t_min_s": 0.8}}
     file = cells.write(tmp_path, content)
-    regression.bless(str(file), references, "bolder", out=tmp_path / "out")
+    bless(str(file), references, "bolder", out=tmp_path / "out")
     log = (references / "LOG.md").read_text().split("\n## ")
     assert "first" in log[1]
     assert "bolder" in log[2]

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from workcell.regression.compare import RESTING_PER_S, compare, excerpt
-from workcell.regression.reference import read_rows, reference_ticks, write_rows
+from workcell.regression.compare import RESTING_PER_S, compare
+from workcell.regression.excerpt import excerpt
+from workcell.regression.rows import read_rows, reference_ticks, write_rows
 from workcell.signals import columns
 
 

@@ -8,8 +8,9 @@ from tests.replay.conftest import duet_content
 from workcell import run as runner
 from workcell.motion.operators.samples import Sample
 from workcell.regression import replay
-from workcell.regression.compare import compare, excerpt
-from workcell.regression.reference import states
+from workcell.regression.compare import compare
+from workcell.regression.excerpt import excerpt
+from workcell.regression.rows import states
 from workcell.trace.table import load
 
 

@@ -14,9 +14,10 @@ from workcell.control.compiled import CompiledShare
 from workcell.control.controller import Controller
 from workcell.control.proximity import PairGeometry
 from workcell.control.share import Share
-from workcell.regression import bless as regression
+from workcell.regression import reference as regression
 from workcell.regression import replay
-from workcell.regression.compare import compare, excerpt
+from workcell.regression.compare import compare
+from workcell.regression.excerpt import excerpt
 
 
 def in_both(monkeypatch, name, change):

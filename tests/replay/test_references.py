@@ -11,8 +11,8 @@ import pytest
 
 from workcell import assets
 from workcell import scenario as scenario_file
-from workcell.regression import bless as regression
-from workcell.regression.compare import settings_changes
+from workcell.regression import reference as regression
+from workcell.regression.settings import settings_changes
 
 REFERENCES = Path(__file__).parent / "references"
 NAMES = regression.names(REFERENCES)

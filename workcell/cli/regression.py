@@ -17,8 +17,9 @@ from workcell.cli.terminal import stdout
 from workcell.errors import InputError
 
 if TYPE_CHECKING:
-    from workcell.regression.bless import MetricChange
-    from workcell.regression.compare import Comparison, Excerpt
+    from workcell.regression.compare import Comparison
+    from workcell.regression.excerpt import Excerpt
+    from workcell.regression.reference import MetricChange
 
 SAME, DIFFERS, NOT_COMPARABLE = 0, 1, 2
 SHOWN = 8
@@ -52,9 +53,9 @@ def compare(
     ] = False,
 ) -> int:
     """Compare a run with a reference: where they part, which quantity moved first, by how much. Exit status 0 same, 1 differs, 2 not comparable."""
-    from workcell.regression import bless as regression
+    from workcell.regression import reference as regression
     from workcell.regression.compare import compare as compare_excerpts
-    from workcell.regression.compare import excerpt
+    from workcell.regression.excerpt import excerpt
     from workcell.trace.table import load
 
     mine, changes = load(run), None
@@ -88,11 +89,11 @@ def rerun(
 ) -> int:
     """Do a recorded run again with today's controller and compare. Exit status 0 same, 1 differs, 2 not comparable."""
     from workcell import run as runner
-    from workcell.regression import bless as regression
+    from workcell.regression import reference as regression
     from workcell.regression import replay
     from workcell.regression.compare import compare as compare_excerpts
-    from workcell.regression.compare import excerpt
-    from workcell.regression.reference import states
+    from workcell.regression.excerpt import excerpt
+    from workcell.regression.rows import states
     from workcell.trace.table import load
 
     if open_loop == closed_loop:
@@ -136,10 +137,10 @@ def bless(
     ] = (),
 ) -> int:
     """Make what a scenario does now its reference. Refused without a reason, or if an expectation is broken."""
-    from workcell.regression import bless as regression
+    from workcell.regression.bless import bless as make_reference
 
     with tempfile.TemporaryDirectory() as temporary:
-        changes = regression.bless(
+        changes = make_reference(
             scenario, references, reason, out=out or Path(temporary), overrides=set or None
         )
     _metrics_table(changes)

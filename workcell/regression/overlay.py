@@ -16,7 +16,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.regression.compare import TTC_SIGNALS, Comparison, Difference, Excerpt, condensed
+from workcell.regression.agreement import TTC_SIGNALS, Difference
+from workcell.regression.compare import Comparison
+from workcell.regression.excerpt import Excerpt, condensed
 from workcell.view.limits import TTC_CAP_IN_T_MIN
 from workcell.view.palette import COMMANDED, DANGER, unit_rgb
 

@@ -15,7 +15,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from workcell.regression.compare import Comparison, Excerpt
+from workcell.regression.compare import Comparison
+from workcell.regression.excerpt import Excerpt
 from workcell.regression.overlay import series
 from workcell.view.palette import COMMANDED
 

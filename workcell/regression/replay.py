@@ -26,7 +26,7 @@ from workcell.guard.halt import HaltLatch
 from workcell.guard.verdict import CheckState, Verdict
 from workcell.motion.path import Target
 from workcell.motion.setpoint import Setpoint
-from workcell.regression.reference import States, Targets
+from workcell.regression.rows import States, Targets
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
 from workcell.trace.table import Trace, load
