@@ -51,13 +51,17 @@ def test_compare_answers_by_its_exit_status(duet, other, tmp_path, capsys):
 
 @pytest.mark.parametrize("loop", ["--open-loop", "--closed-loop"])
 def test_a_run_done_again_is_the_same(duet, tmp_path, loop):
-    assert main(["rerun", str(duet.trace.source), loop, "--out", str(tmp_path / "again")]) == 0
+    assert main(["reproduce", str(duet.trace.source), loop, "--out", str(tmp_path / "again")]) == 0
     assert (tmp_path / "again" / "comparison.txt").is_file()
 
 
-def test_rerun_wants_one_loop(duet, capsys):
+def test_reproduce_wants_one_loop_and_its_old_name_says_the_new_one(duet, capsys):
+    assert main(["reproduce", str(duet.trace.source)]) == 2
+    assert "workcell reproduce" not in said(capsys.readouterr().err)
     assert main(["rerun", str(duet.trace.source)]) == 2
-    assert "exactly one of --open-loop and --closed-loop" in said(capsys.readouterr().err)
+    err = said(capsys.readouterr().err)
+    assert "is called `workcell reproduce` now" in err
+    assert "exactly one of --open-loop and --closed-loop" in err
 
 
 def test_salvage_of_a_whole_run_loses_nothing(duet, tmp_path, capsys):

@@ -27,19 +27,21 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "sweep": studies.sweep,
     "falsify": studies.falsify,
     "compare": regression.compare,
-    "rerun": regression.rerun,
+    "reproduce": regression.reproduce,
     "bless": regression.bless,
     "salvage": regression.salvage,
     "compile": install.compile_,
 }
 """Every command by the name that people type."""
+OLD_NAMES: dict[str, Callable[..., int]] = {"rerun": regression.rerun}
+"""Commands under names that they had before; they say so."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the `workcell` command; returns the exit status."""
     try:
         return tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="workcell", args=arguments, description=__doc__
+            COMMANDS | OLD_NAMES, prog="workcell", args=arguments, description=__doc__
         )
     except (InputError, TraceError) as error:
         stderr.print(str(error), markup=False)

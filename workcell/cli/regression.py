@@ -1,19 +1,20 @@
-"""The commands that hold runs against each other: compare, rerun, bless, salvage.
+"""The commands that hold runs against each other: compare, reproduce, bless, salvage.
 
 Exit status as everywhere: 0 the same, or done; 1 it differs; 2 refused, or not comparable.
 """
 
 from __future__ import annotations
 
+import functools
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from workcell.cli.terminal import stdout
+from workcell.cli.terminal import stderr, stdout
 from workcell.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def compare(
     return SAME if result.kind == "same" and not changes else DIFFERS
 
 
-def rerun(
+def reproduce(
     run: Run,
     /,
     open_loop: Annotated[
@@ -97,7 +98,7 @@ def rerun(
     from workcell.trace.table import load
 
     if open_loop == closed_loop:
-        raise InputError("rerun: allowed is exactly one of --open-loop and --closed-loop")
+        raise InputError("reproduce: allowed is exactly one of --open-loop and --closed-loop")
     old = load(run)
     scenario = replay.scenario_of(old)
     with tempfile.TemporaryDirectory() as temporary:
@@ -119,6 +120,15 @@ def rerun(
     if result.kind == "not comparable":
         return NOT_COMPARABLE
     return SAME if result.kind == "same" and not changes else DIFFERS
+
+
+@functools.wraps(reproduce)
+def rerun(*arguments: Any, **options: Any) -> int:
+    stderr.print("`workcell rerun` is called `workcell reproduce` now: rerun is the viewer's name")
+    return reproduce(*arguments, **options)
+
+
+rerun.__doc__ = "The old name of `reproduce`, which does the same."
 
 
 def bless(
@@ -234,8 +244,8 @@ def _show(
         stdout.print(str(overlay.draw(run, reference, result, folder / f"{REPORT}.png")))
     if rerun:
         from workcell.regression import recording_of_both as view_both
-        from workcell.view import recording as view
+        from workcell.view.viewer import open_viewer
 
         recording = view_both.record(run, reference, result, folder / f"{REPORT}.rrd")
         stdout.print(str(recording))
-        view.open_viewer(recording).wait()
+        open_viewer(recording).wait()

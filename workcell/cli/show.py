@@ -17,10 +17,10 @@ def replay(
 ) -> int:
     """Open a run in the rerun viewer; its recording is rebuilt from the trace where it is missing or outdated."""
     from workcell.run import rebuild_recording
-    from workcell.view import recording as view
+    from workcell.view.viewer import open_viewer
 
     recording = rebuild_recording(run)
-    return OK if view.open_viewer(recording, web=web).wait() == 0 else FAILED
+    return OK if open_viewer(recording, web=web).wait() == 0 else FAILED
 
 
 def plot(run: RunFolder, /) -> int:
