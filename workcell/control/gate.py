@@ -1,0 +1,500 @@
+"""The gate: the last stage before the servos, through which every command of a support arm passes.
+
+In: a command x (n,) of any origin, the joints' state and limits, and one arm's pairs as arrays. Out: the command
+that goes to the servos, and whether, why and for which pair it was replaced (docs/theory.md section 9).
+
+    box      position, speed, acceleration, jerk: the joints can follow it
+    rates    no pair is closed by the arm's own motion beyond t >= t_min
+    stop     braking from it, as hard as the joints can, closes no pair to contact
+    speed    no point of the arm is faster than the cap
+
+What does not pass is replaced by the nearest command that does, else by one nearer to braking, else by
+braking. Braking is the tail of the last verified stop, so it is never looked at a second time.
+The box and the stop are hard. The rates and the speed cap cannot always be followed by joints of limited
+acceleration: they are soft in the program, and what they miss is reported.
+
+Assumed: each joint is within `ahead` of its measured position when the command begins to act, and its stop
+stays between there and |x| T_r + x² / (2 a) farther. Other arms are counted on as `other_m_s` says; a stop is
+verified against where they are now. Jerk is a bound on commands that pass, not on braking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.laws import gate as laws
+from workcell.errors import WorkcellError
+
+Array = NDArray[np.float64]
+How = Literal["passed", "nearest", "towards_braking", "braking"]
+
+CLEARANCE_M = 0.5e-3
+"""A stop is verified where it leaves this, or half of the distance there is; chosen well above rounding."""
+CUT_M = 1e-5
+"""What a cut of the program asks for beyond the clearance, so that its answer passes in spite of the bound's curvature."""
+RATE_SLACK_M_S = 1e-5
+"""Rates are known up to the solvers' tolerances: ten micrometres a second, 0.1 % of the slowest rate that matters, d_min / t_min."""
+REST_SLACK_M_S = 1e-4
+"""The same at d_min, where an arm that starts to leave is first moved by the last digits of its tool error."""
+SPEED_SLACK = 1e-6
+"""Relative, on the speed cap: rounding."""
+SAME_RAD_S = 1e-9
+"""A command that changes by less was not replaced: rounding of the box."""
+ROUNDS = 4
+"""Of the program, each with the cuts of all before it."""
+TOWARDS_BRAKING = (0.5, 0.25, 0.1)
+"""Shares of the way from braking to the program's answer that are tried where that does not pass."""
+_SOFT = 8
+_SOLVED = (1, 2)  # daqp's flags: optimal; optimal with a soft constraint missed
+_BOUNDS = {
+    laws.POSITION: "position",
+    laws.SPEED: "speed",
+    laws.ACCELERATION: "acceleration",
+    laws.JERK: "jerk",
+}
+REASONS = ("not_finite", *_BOUNDS.values(), "time_to_collision", "stop", "point_speed")
+"""Why a command is replaced, in the order in which the gate looks."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """What the joints can do, each (n,); rad or m."""
+
+    lower: Array
+    """End stops, infinite where there is none."""
+    upper: Array
+    speed: Array
+    """> 0, 1/s."""
+    acceleration: Array
+    """> 0, 1/s²: with which a joint brakes, too."""
+    jerk: Array
+    """> 0, 1/s³, or infinite."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """Where the joints are and what they were told, each (n,)."""
+
+    position: Array
+    """As measured."""
+    last: Array
+    """The last command."""
+    last_change: Array
+    """Its change from the one before, over the period; zero at the start."""
+    ahead_low: Array
+    """Smallest and largest displacement from the measured position before the next command acts, `ahead`."""
+    ahead_high: Array
+
+
+@dataclass(frozen=True, slots=True)
+class GateRows:
+    """One arm's pairs at a configuration: P pairs, E points that span the arm's own geoms, n joints."""
+
+    pair: NDArray[np.intp]
+    """(P,) number of each pair in the caller's list; what answers name."""
+    distance_m: Array
+    """(P,) d."""
+    own: Array
+    """(P, n) rows of G: the rate each joint gives the pair."""
+    first: NDArray[np.intp]
+    """(P + 1,) where the points of each pair begin."""
+    order: NDArray[np.intp]
+    """(P, n) joints that move the own geom against the other, from its tip on; -1 after the last."""
+    rows: Array
+    """(E, n) A: the rate each joint gives each point towards the other geom's plane."""
+    levers: Array
+    """(E, n) R: how far each joint moves each point."""
+    low_m: Array
+    """(E,) m: distance of each point from that plane."""
+
+
+@dataclass(frozen=True)
+class GateLinks:
+    """The corners of the arm's own geoms, C of them, whose speed is capped; fields as in `laws.point_speeds`."""
+
+    cdof: Array
+    centre: Array
+    geom_position: Array
+    geom_rotation: Array
+    geom: NDArray[np.intp]
+    moves: NDArray[np.bool_]
+    radius: Array
+    local: Array
+
+    def speeds_m_s(self, command: Array) -> Array:
+        """(C,) largest speed about each corner."""
+        out = np.empty(len(self.radius))
+        laws.point_speeds(command, *self._arrays, out)
+        return out
+
+    def gradient(self, corner: int, command: Array) -> Array:
+        """(n,) of one of these speeds."""
+        out = np.empty(len(command))
+        laws.speed_gradient(corner, command, *self._arrays, out)
+        return out
+
+    @cached_property
+    def _arrays(self) -> tuple[NDArray, ...]:
+        return (
+            self.cdof,
+            self.centre,
+            self.geom_position,
+            self.geom_rotation,
+            self.geom,
+            self.moves,
+            self.radius,
+            self.local,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GateRules:
+    """What the gate holds, for all pairs or pair by pair (P,)."""
+
+    period_s: float
+    t_min_s: float
+    d_min_m: float = 0.0
+    """Pairs this near or nearer may only open, but for those that are to meet."""
+    standoff_m: float = 0.0
+    """Distance to which times count, but for pairs that are to meet."""
+    latency_s: float = 0.0
+    """How much longer than a period a command acts before braking can: late actuation that `ahead` does not tell of."""
+    point_speed_m_s: float = np.inf
+    """Cap on the speed of any point of the arm."""
+    hold_m: float = 0.0
+    """Distance that a verified stop leaves at least: 0 holds off contact."""
+
+    @property
+    def reaction_s(self) -> float:
+        """T_r: a command acts for a period before braking can."""
+        return self.period_s + self.latency_s
+
+
+@dataclass(frozen=True, slots=True)
+class Gated:
+    """The gate's answer."""
+
+    command: Array
+    """(n,) what goes to the servos."""
+    how: How
+    """`passed` unchanged, or what it was replaced by."""
+    reasons: tuple[str, ...] = ()
+    """Of `REASONS`, what the given command failed."""
+    pair: int | None = None
+    """The pair of the first failed pair rule, by the caller's number."""
+    verified: bool = True
+    """Whether the stop test passed; False only where braking was all that was left."""
+    missed_pair: int | None = None
+    """The pair whose rate rule is missed most by the answer; None where all are kept."""
+    missed_m_s: float = 0.0
+    """By how much its rate falls short."""
+    speed_m_s: float | None = None
+    """The fastest point, where it exceeds the cap all the same."""
+
+    @property
+    def replaced(self) -> bool:
+        """Whether the command is another than the one given."""
+        return self.how != "passed"
+
+
+@dataclass(slots=True)
+class _Look:
+    """How a command does."""
+
+    short_m_s: Array
+    """(P,) by how much its own rates fall short of what is needed, beyond their slack; <= 0 where kept."""
+    lack_m: Array
+    """(E,) by how much its stop falls short of the clearance; <= 0 where kept."""
+    over: Array
+    """(C,) by how much points exceed the cap, m/s; <= 0 where kept."""
+
+    @property
+    def fails(self) -> bool:
+        return bool((self.short_m_s > 0.0).any() or self.stop_fails or (self.over > 0.0).any())
+
+    @property
+    def stop_fails(self) -> bool:
+        return bool((self.lack_m > 0.0).any())
+
+
+def ahead(
+    commands_in_flight: Array,
+    period_s: float,
+    *,
+    lag: Array | float = 0.0,
+    uncertainty: Array | float = 0.0,
+) -> tuple[Array, Array]:
+    """(n,) smallest and largest displacement of each joint before the next command acts.
+
+    Args:
+        commands_in_flight: (L, n) commands since the measured state was taken, oldest first.
+        period_s: How long each acts.
+        lag: (n,) the servos' references less the measured positions, less what is in flight.
+        uncertainty: (n,) bound on the error of a measured position, >= 0.
+    """
+    way = np.asarray(commands_in_flight, dtype=float).sum(axis=0) * period_s + lag
+    return np.minimum(way, 0.0) - uncertainty, np.maximum(way, 0.0) + uncertainty
+
+
+def braking(last: Array, limits: JointLimits, period_s: float) -> Array:
+    """(n,) the next command of a stop as hard as the joints can."""
+    return np.sign(last) * np.maximum(np.abs(last) - limits.acceleration * period_s, 0.0)
+
+
+def gate(
+    command: Array,
+    state: JointState,
+    limits: JointLimits,
+    rows: GateRows,
+    rules: GateRules,
+    *,
+    other_m_s: Array | float = 0.0,
+    meeting: NDArray[np.bool_] | bool = False,
+    links: GateLinks | None = None,
+) -> Gated:
+    """The command itself if it passes, else the nearest one that does, else braking.
+
+    Args:
+        command: x (n,). One that is not finite is replaced by braking.
+        state: Of the joints.
+        limits: Of the joints.
+        rows: The arm's pairs.
+        rules: What is held.
+        other_m_s: (P,) predicted rates that all but this arm cause.
+        meeting: (P,) pairs that are to meet: no standoff and no halt at d_min for them.
+        links: Whose points' speed is capped; None where there is no cap.
+
+    Raises:
+        WorkcellError: the command has another shape than the joints, or a row, state or limit is not finite.
+    """
+    _require(command, state, rows)
+    return _Gate(state, limits, rows, rules, other_m_s, meeting, links).answer(command)
+
+
+@dataclass(slots=True)
+class _Gate:
+    """One call of `gate`."""
+
+    state: JointState
+    limits: JointLimits
+    rows: GateRows
+    rules: GateRules
+    other_m_s: Array | float
+    meeting: NDArray[np.bool_] | bool
+    links: GateLinks | None
+    box: Array = field(init=False)
+    bounds: NDArray[np.int64] = field(init=False)
+    needed_m_s: Array = field(init=False)
+    slack_m_s: Array = field(init=False)
+    clearance_m: Array = field(init=False)
+    """(E,) what `stop_margins` must leave of each point; minus infinity for a pair in contact, which has its own rule."""
+
+    def answer(self, command: Array) -> Gated:
+        self._prepare()
+        brake = braking(self.state.last, self.limits, self.rules.period_s)
+        if not np.isfinite(command).all():
+            return self._told(brake, "braking", ("not_finite",), None)
+        y = command.clip(*self.box)
+        moved = np.abs(y - command)
+        look = self._look(y)
+        if not look.fails and moved.max(initial=0.0) <= SAME_RAD_S:
+            return Gated(command, "passed")
+        reasons, pair = self._why(command, moved, look)
+        if not look.fails:
+            return Gated(y, "nearest", reasons, pair)
+        best, found = y, look
+        for best, found in self._programs(command, y, look):  # noqa: B007
+            if not found.fails:
+                break
+        if not found.stop_fails:
+            return self._told(best, "nearest", reasons, pair, found)
+        for share in TOWARDS_BRAKING:
+            y = brake + share * (best - brake)
+            look = self._look(y)
+            if not look.stop_fails:
+                return self._told(y, "towards_braking", reasons, pair, look)
+        return self._told(brake, "braking", reasons, pair)
+
+    def _prepare(self) -> None:
+        state, limits, rules, rows = self.state, self.limits, self.rules, self.rows
+        n = len(state.position)
+        self.box, self.bounds = np.empty((2, n)), np.empty((2, n), dtype=np.int64)
+        laws.joint_box(
+            state.position + state.ahead_low,
+            state.position + state.ahead_high,
+            state.last,
+            state.last_change,
+            limits.lower,
+            limits.upper,
+            limits.speed,
+            limits.acceleration,
+            limits.jerk,
+            rules.period_s,
+            self.box,
+            self.bounds,
+        )
+        distance = rows.distance_m
+        gap = distance - np.where(self.meeting, 0.0, rules.standoff_m)
+        only_open = (distance <= rules.hold_m) | (
+            (distance <= rules.d_min_m) & ~np.asarray(self.meeting)
+        )
+        gap = np.where(only_open, np.minimum(gap, 0.0), gap)
+        # Standing must always do: what it does not keep is for the arm's strategy to open.
+        self.needed_m_s = np.minimum(-(gap / rules.t_min_s + self.other_m_s), 0.0)
+        self.slack_m_s = np.where(only_open, REST_SLACK_M_S, RATE_SLACK_M_S)
+        room = rows.low_m - rules.hold_m
+        touches = np.repeat(distance <= rules.hold_m, np.diff(rows.first))
+        self.clearance_m = np.where(
+            touches, -np.inf, rules.hold_m + np.minimum(CLEARANCE_M, 0.5 * room)
+        )
+
+    def _look(self, y: Array) -> _Look:
+        state, rows, travel = self.state, self.rows, np.empty((2, len(y)))
+        laws.stop_travel(
+            y,
+            state.ahead_low,
+            state.ahead_high,
+            self.limits.acceleration,
+            self.rules.reaction_s,
+            travel,
+        )
+        margin = np.empty(len(rows.low_m))
+        laws.stop_margins(
+            travel, rows.first, rows.order, rows.rows, rows.levers, rows.low_m, margin
+        )
+        over = np.empty(0)
+        if self.links is not None:
+            cap = self.rules.point_speed_m_s
+            over = self.links.speeds_m_s(y) - cap * (1.0 + SPEED_SLACK)
+        short = self.needed_m_s - self.slack_m_s - rows.own @ y
+        return _Look(short, self.clearance_m - margin, over)
+
+    def _programs(self, command: Array, y: Array, look: _Look) -> Iterator[tuple[Array, _Look]]:
+        """Answers nearer and nearer to passing: min |y - x|² in the box, the rates, and a cut for each failed row."""
+        n = len(y)
+        low, high = self.box
+        # The other rates hold wherever in the box the answer is.
+        most = np.abs(self.rows.own) @ np.maximum(np.abs(low), np.abs(high))
+        near = self.needed_m_s > -most
+        A, b = [self.rows.own[near]], [self.needed_m_s[near]]
+        sense = [np.full(int(near.sum()), _SOFT, dtype=np.intc)]
+        for _ in range(ROUNDS):
+            cuts, needs, marks = self._cuts(y, look)
+            A.append(cuts)
+            b.append(needs)
+            sense.append(marks)
+            lower = np.concatenate([low, *b])
+            found, _, flag, _ = daqp.solve(
+                np.eye(n),
+                -command,
+                np.ascontiguousarray(np.concatenate(A)),
+                np.concatenate([high, np.full(len(lower) - n, 1e30)]),
+                lower,
+                np.concatenate([np.zeros(n, dtype=np.intc), *sense]),
+            )
+            if flag not in _SOLVED or not np.isfinite(found).all():
+                return
+            y = found.clip(low, high)
+            look = self._look(y)
+            yield y, look
+
+    def _cuts(self, y: Array, look: _Look) -> tuple[Array, Array, NDArray[np.intc]]:
+        """Rows (K, n) with A z >= b (K,), and daqp's marks, for what fails at y: stops hard, point speeds soft."""
+        state, rows = self.state, self.rows
+        cuts, needs, marks = [np.empty((0, len(y)))], [], []
+        pair_of = np.repeat(np.arange(len(rows.pair)), np.diff(rows.first))
+        for e in np.flatnonzero(look.lack_m > 0.0):
+            gradient = np.empty(len(y))
+            laws.stop_gradient(
+                e,
+                pair_of[e],
+                y,
+                state.ahead_low,
+                state.ahead_high,
+                self.limits.acceleration,
+                self.rules.reaction_s,
+                rows.order,
+                rows.rows,
+                rows.levers,
+                gradient,
+            )
+            cuts.append(gradient[None])
+            needs.append(look.lack_m[e] + CUT_M + gradient @ y)
+            marks.append(0)
+        if self.links is not None:
+            for c in np.flatnonzero(look.over > 0.0):
+                cuts.append(-self.links.gradient(int(c), y)[None])
+                needs.append(-self.rules.point_speed_m_s)
+                marks.append(_SOFT)
+        return np.concatenate(cuts), np.array(needs), np.array(marks, dtype=np.intc)
+
+    def _why(self, command: Array, moved: Array, look: _Look) -> tuple[tuple[str, ...], int | None]:
+        reasons, pair = [], None
+        if moved.max(initial=0.0) > SAME_RAD_S:
+            joint = int(moved.argmax())
+            reasons.append(
+                _BOUNDS[int(self.bounds[int(command[joint] > self.box[1, joint]), joint])]
+            )
+        if (look.short_m_s > 0.0).any():
+            reasons.append("time_to_collision")
+            pair = int(self.rows.pair[look.short_m_s.argmax()])
+        if look.stop_fails:
+            reasons.append("stop")
+            if pair is None:
+                row = np.searchsorted(self.rows.first, look.lack_m.argmax(), side="right") - 1
+                pair = int(self.rows.pair[row])
+        if (look.over > 0.0).any():
+            reasons.append("point_speed")
+        return tuple(reasons), pair
+
+    def _told(
+        self,
+        y: Array,
+        how: How,
+        reasons: tuple[str, ...],
+        pair: int | None,
+        look: _Look | None = None,
+    ) -> Gated:
+        look = self._look(y) if look is None else look
+        worst = int(look.short_m_s.argmax()) if len(look.short_m_s) else -1
+        missed = worst >= 0 and look.short_m_s[worst] > 0.0
+        over = look.over.max(initial=-np.inf)
+        return Gated(
+            y,
+            how,
+            reasons,
+            pair,
+            verified=not look.stop_fails,
+            missed_pair=int(self.rows.pair[worst]) if missed else None,
+            missed_m_s=float(look.short_m_s[worst]) if missed else 0.0,
+            speed_m_s=self.rules.point_speed_m_s + float(over) if over > 0.0 else None,
+        )
+
+
+def _require(command: Array, state: JointState, rows: GateRows) -> None:
+    if command.shape != state.last.shape:
+        raise WorkcellError(
+            f"command has shape {command.shape}; must be that of the joints, {state.last.shape}"
+        )
+    for name, values in (
+        ("position", state.position),
+        ("last", state.last),
+        ("last_change", state.last_change),
+        ("ahead_low", state.ahead_low),
+        ("ahead_high", state.ahead_high),
+        ("distance_m", rows.distance_m),
+        ("own", rows.own),
+        ("rows", rows.rows),
+        ("low_m", rows.low_m),
+    ):
+        if not np.isfinite(values).all():
+            raise WorkcellError(
+                f"{name} is not finite: {values[~np.isfinite(values)][:3].tolist()}"
+            )

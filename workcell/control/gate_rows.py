@@ -1,0 +1,157 @@
+"""One arm's pairs as the gate takes them: which joints move what, resolved once; rows at each configuration.
+
+Of each watched pair that the arm is a party to, one geom is its own: the one on the arm, of two on the arm the
+one nearer to its tip. A round geom is spanned by its axis, a box by its corners; any other geom by the
+corners of its bounding box, of which only their displacement counts (docs/theory.md section 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.gate import GateLinks, GateRows
+from workcell.control.laws import gate as laws
+from workcell.control.proximity import Proximity
+
+_GEOM = mujoco.mjtGeom
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+
+
+class GateGeometry:
+    """What never changes about one arm's pairs, until an instrument changes hands.
+
+    Args:
+        model: The model.
+        dofs: (n,) the arm's joints, indices into qvel.
+        pairs: (W, 2) geom ids of all watched pairs.
+        concerned: Numbers of those that the arm is a party to; `pair` has those of them that its joints change.
+        held: For each instrument geom that the arm holds, the body that carries it.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        dofs: Sequence[int] | NDArray[np.intp],
+        pairs: NDArray[np.intp],
+        concerned: Sequence[int] | NDArray[np.intp],
+        *,
+        held: Mapping[int, int] | None = None,
+    ):
+        self._dofs = np.asarray(dofs, dtype=np.intp)
+        self._roots = model.body_rootid[model.dof_bodyid[self._dofs]]
+        held = held or {}
+        number, side, geom, order, sign = [], [], [], [], []
+        for w in concerned:
+            geoms = [int(g) for g in np.asarray(pairs)[w]]
+            chains = [self._chain(model, g, held) for g in geoms]
+            own = int(len(chains[1]) > len(chains[0]))
+            mine = [k for k in chains[own] if k not in chains[1 - own]]
+            theirs = [k for k in chains[1 - own] if k not in chains[own]]
+            if not mine:
+                continue
+            number.append(w)
+            side.append(-1.0 if own else 1.0)
+            geom.append(geoms[own])
+            # Seen from the other geom, the chain runs down its branch and out along the own one.
+            chain = mine + theirs[::-1]
+            order.append(chain + [-1] * (len(self._dofs) - len(chain)))
+            sign.append([float(k in mine) - float(k in theirs) for k in range(len(self._dofs))])
+        n = len(self._dofs)
+        self.pair = np.array(number, dtype=np.intp)
+        self._side, self._geom = np.array(side), np.array(geom, dtype=np.intp)
+        self._order = np.array(order, dtype=np.intp).reshape(-1, n)
+        self._sign = np.array(sign).reshape(-1, n)
+        points = [_points(model, int(g)) for g in self._geom]
+        self._first = np.cumsum([0, *(len(local) for local, _ in points)]).astype(np.intp)
+        self._local = np.concatenate([np.empty((0, 3)), *(local for local, _ in points)])
+        self._exact = np.array([exact for _, exact in points], dtype=bool)
+        self._outline(model, held)
+
+    def rows(self, data: mujoco.MjData, proximity: Proximity) -> GateRows:
+        """At the configuration of `data`, after `mj_comPos`, with the proximity of all watched pairs."""
+        P, E, n = len(self.pair), len(self._local), len(self._dofs)
+        near, own = np.empty(P), np.empty((P, n))
+        rows, levers, low = np.empty((E, n)), np.empty((E, n)), np.empty(E)
+        laws.end_rows(
+            data.cdof[self._dofs],
+            data.subtree_com[self._roots],
+            data.geom_xpos,
+            data.geom_xmat,
+            proximity.distance_m,
+            proximity.normal,
+            proximity.witness_i_m,
+            proximity.witness_j_m,
+            self.pair,
+            self._side,
+            self._geom,
+            self._exact,
+            self._first,
+            self._local,
+            self._order,
+            self._sign,
+            near,
+            own,
+            rows,
+            levers,
+            low,
+        )
+        return GateRows(self.pair, near, own, self._first, self._order, rows, levers, low)
+
+    def links(self, data: mujoco.MjData) -> GateLinks:
+        """The corners of the arm's own geoms at the configuration of `data`, after `mj_comPos`."""
+        return GateLinks(
+            data.cdof[self._dofs],
+            data.subtree_com[self._roots],
+            data.geom_xpos,
+            data.geom_xmat,
+            self._corner_geom,
+            self._corner_moves,
+            self._corner_radius,
+            self._corner_local,
+        )
+
+    def _chain(self, model: mujoco.MjModel, geom: int, held: Mapping[int, int]) -> list[int]:
+        """The arm's joints that move a geom, from its tip on."""
+        body = held.get(geom, int(model.geom_bodyid[geom]))
+        above: set[int] = set()
+        while body:
+            start = int(model.body_dofadr[body])
+            above.update(range(start, start + int(model.body_dofnum[body])))
+            body = int(model.body_parentid[body])
+        return [k for k in range(len(self._dofs) - 1, -1, -1) if int(self._dofs[k]) in above]
+
+    def _outline(self, model: mujoco.MjModel, held: Mapping[int, int]) -> None:
+        """Corners and radii of every geom that moves with the arm and stands in a pair."""
+        geoms = sorted({int(g) for g in self._geom})
+        corners = [_points(model, g)[0] for g in geoms]
+        count = [len(local) for local in corners]
+        moves = np.zeros((len(geoms), len(self._dofs)), dtype=bool)
+        for row, g in zip(moves, geoms, strict=True):
+            row[self._chain(model, g, held)] = True
+        self._corner_geom = np.repeat(np.array(geoms, dtype=np.intp), count)
+        self._corner_moves = np.repeat(moves, count, axis=0)
+        self._corner_radius = np.repeat(np.array([_radius(model, g) for g in geoms]), count)
+        self._corner_local = np.concatenate([np.empty((0, 3)), *corners])
+
+
+def _radius(model: mujoco.MjModel, geom: int) -> float:
+    """Of the round hull about the core that `_points` spans: 0 where it spans the whole geom."""
+    is_round = model.geom_type[geom] in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE)
+    return float(model.geom_size[geom, 0]) if is_round else 0.0
+
+
+def _points(model: mujoco.MjModel, geom: int) -> tuple[NDArray[np.float64], bool]:
+    """(E, 3) points in a geom's frame whose hull is the core of the geom; and whether it is no larger."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    if kind == _GEOM.mjGEOM_SPHERE:
+        return np.zeros((1, 3)), True
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), True
+    if kind == _GEOM.mjGEOM_BOX:
+        return _CORNERS * size, True
+    box = model.geom_aabb[geom]
+    return box[:3] + _CORNERS * box[3:], False
