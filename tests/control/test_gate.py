@@ -217,6 +217,8 @@ def test_a_command_of_the_wrong_shape_and_rows_that_are_not_finite_are_refused()
     rows.low_m[0] = np.nan
     with pytest.raises(WorkcellError, match="low_m is not finite"):
         gate(np.zeros(1), cell.state(np.zeros(1)), cell.limits, rows, gate_cell.rules())
+    with pytest.raises(WorkcellError, match="other_m_s is not finite"):
+        ask(cell, [0.0], other_m_s=np.array([np.nan]))
 
 
 def test_what_is_ahead_of_a_joint_counts_for_ranges_and_stops():
@@ -387,3 +389,16 @@ def test_clearance_of_a_pair_nearer_than_the_clearance_is_half_of_what_is_left()
     cell = one_joint_before_a_ball(0.5 * CLEARANCE_M)
     cell.place(np.zeros(1))
     assert ask(cell, np.zeros(1)).how == "passed"  # standing always passes
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ADVERSARIES)
+def test_hundred_sabotaged_runs_without_contact(kind):
+    """A hundred seeded runs of each adversary: the gate alone keeps the arm free."""
+    for seed in range(100):
+        build, t_min_s = (planars, pa10s)[seed % 2], (1.0, 0.1)[seed // 2 % 2]
+        nearest, beyond, *_ = closed_loop(
+            build(), kind, 1000 + seed, 300, gate_cell.rules(t_min_s=t_min_s)
+        )
+        assert nearest > 0.0
+        assert beyond <= 1e-12

@@ -20,7 +20,6 @@ verified against where they are now. Jerk is a bound on commands that pass, not 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -204,20 +203,21 @@ class Gated:
         return self.how != "passed"
 
 
+_NOTHING = np.empty(0)
+
+
 @dataclass(slots=True)
 class _Look:
     """How a command does."""
 
+    passes: bool
+    """Whether all below is kept; False where a number is not finite."""
     short_m_s: Array
     """(P,) by how much its own rates fall short of what is needed, beyond their slack; <= 0 where kept."""
     lack_m: Array
     """(E,) by how much its stop falls short of the clearance; <= 0 where kept."""
-    over: Array
-    """(C,) by how much points exceed the cap, m/s; <= 0 where kept."""
-
-    @property
-    def fails(self) -> bool:
-        return bool((self.short_m_s > 0.0).any() or self.stop_fails or (self.over > 0.0).any())
+    over_m_s: Array
+    """(C,) by how much points exceed the cap; <= 0 where kept."""
 
     @property
     def stop_fails(self) -> bool:
@@ -274,8 +274,14 @@ def gate(
     Raises:
         WorkcellError: the command has another shape than the joints, or a row, state or limit is not finite.
     """
-    _require(command, state, rows)
-    return _Gate(state, limits, rows, rules, other_m_s, meeting, links).answer(command)
+    if command.shape != state.last.shape:
+        raise WorkcellError(
+            f"command has shape {command.shape}; must be that of the joints, {state.last.shape}"
+        )
+    pairs = len(rows.distance_m)
+    other = np.full(pairs, other_m_s) if np.isscalar(other_m_s) else np.asarray(other_m_s)
+    meets = np.full(pairs, meeting) if np.isscalar(meeting) else np.asarray(meeting)
+    return _Gate(state, limits, rows, rules, other, meets, links).answer(command)
 
 
 @dataclass(slots=True)
@@ -286,33 +292,29 @@ class _Gate:
     limits: JointLimits
     rows: GateRows
     rules: GateRules
-    other_m_s: Array | float
-    meeting: NDArray[np.bool_] | bool
+    other_m_s: Array
+    meeting: NDArray[np.bool_]
     links: GateLinks | None
     box: Array = field(init=False)
     bounds: NDArray[np.int64] = field(init=False)
-    needed_m_s: Array = field(init=False)
-    slack_m_s: Array = field(init=False)
-    clearance_m: Array = field(init=False)
-    """(E,) what `stop_margins` must leave of each point; minus infinity for a pair in contact, which has its own rule."""
+    demands: tuple[Array, Array, Array] = field(init=False)
+    """Needed rates (P,), their slack (P,), clearances of stops (E,): `laws.demands`."""
 
     def answer(self, command: Array) -> Gated:
         self._prepare()
+        y = command.clip(*self.box)
+        look = self._look(y)
+        moved = np.abs(y - command).max(initial=0.0)
+        if look.passes and moved <= SAME_RAD_S:
+            return Gated(command, "passed")
+        _require_finite(self.state, self.rows, self.other_m_s)
         brake = braking(self.state.last, self.limits, self.rules.period_s)
         if not np.isfinite(command).all():
             return self._told(brake, "braking", ("not_finite",), None)
-        y = command.clip(*self.box)
-        moved = np.abs(y - command)
-        look = self._look(y)
-        if not look.fails and moved.max(initial=0.0) <= SAME_RAD_S:
-            return Gated(command, "passed")
-        reasons, pair = self._why(command, moved, look)
-        if not look.fails:
+        reasons, pair = self._why(command, y, look)
+        if look.passes:
             return Gated(y, "nearest", reasons, pair)
-        best, found = y, look
-        for best, found in self._programs(command, y, look):  # noqa: B007
-            if not found.fails:
-                break
+        best, found = self._nearest(command, y, look)
         if not found.stop_fails:
             return self._told(best, "nearest", reasons, pair, found)
         for share in TOWARDS_BRAKING:
@@ -340,50 +342,60 @@ class _Gate:
             self.box,
             self.bounds,
         )
-        distance = rows.distance_m
-        gap = distance - np.where(self.meeting, 0.0, rules.standoff_m)
-        only_open = (distance <= rules.hold_m) | (
-            (distance <= rules.d_min_m) & ~np.asarray(self.meeting)
-        )
-        gap = np.where(only_open, np.minimum(gap, 0.0), gap)
-        # Standing must always do: what it does not keep is for the arm's strategy to open.
-        self.needed_m_s = np.minimum(-(gap / rules.t_min_s + self.other_m_s), 0.0)
-        self.slack_m_s = np.where(only_open, REST_SLACK_M_S, RATE_SLACK_M_S)
-        room = rows.low_m - rules.hold_m
-        touches = np.repeat(distance <= rules.hold_m, np.diff(rows.first))
-        self.clearance_m = np.where(
-            touches, -np.inf, rules.hold_m + np.minimum(CLEARANCE_M, 0.5 * room)
+        P = len(rows.distance_m)
+        self.demands = np.empty(P), np.empty(P), np.empty(len(rows.low_m))
+        laws.demands(
+            rows.distance_m,
+            self.meeting,
+            self.other_m_s,
+            rows.first,
+            rows.low_m,
+            rules.t_min_s,
+            rules.d_min_m,
+            rules.standoff_m,
+            rules.hold_m,
+            RATE_SLACK_M_S,
+            REST_SLACK_M_S,
+            CLEARANCE_M,
+            *self.demands,
         )
 
     def _look(self, y: Array) -> _Look:
-        state, rows, travel = self.state, self.rows, np.empty((2, len(y)))
-        laws.stop_travel(
+        state, rows = self.state, self.rows
+        short, lack = np.empty(len(rows.distance_m)), np.empty(len(rows.low_m))
+        passes = laws.look(
             y,
             state.ahead_low,
             state.ahead_high,
             self.limits.acceleration,
             self.rules.reaction_s,
-            travel,
+            rows.own,
+            rows.first,
+            rows.order,
+            rows.rows,
+            rows.levers,
+            rows.low_m,
+            *self.demands,
+            short,
+            lack,
         )
-        margin = np.empty(len(rows.low_m))
-        laws.stop_margins(
-            travel, rows.first, rows.order, rows.rows, rows.levers, rows.low_m, margin
-        )
-        over = np.empty(0)
-        if self.links is not None:
-            cap = self.rules.point_speed_m_s
-            over = self.links.speeds_m_s(y) - cap * (1.0 + SPEED_SLACK)
-        short = self.needed_m_s - self.slack_m_s - rows.own @ y
-        return _Look(short, self.clearance_m - margin, over)
+        if self.links is None:
+            return _Look(passes, short, lack, _NOTHING)
+        over = self.links.speeds_m_s(y) - self.rules.point_speed_m_s * (1.0 + SPEED_SLACK)
+        return _Look(passes and bool(over.max(initial=-1.0) <= 0.0), short, lack, over)
 
-    def _programs(self, command: Array, y: Array, look: _Look) -> Iterator[tuple[Array, _Look]]:
-        """Answers nearer and nearer to passing: min |y - x|² in the box, the rates, and a cut for each failed row."""
+    def _nearest(self, command: Array, y: Array, look: _Look) -> tuple[Array, _Look]:
+        """Nearest to the command of what passes, or as near to passing as a few programs come.
+
+        Each is min |y - x|² in the box, under the rates and a cut for each row that failed before.
+        """
         n = len(y)
         low, high = self.box
         # The other rates hold wherever in the box the answer is.
         most = np.abs(self.rows.own) @ np.maximum(np.abs(low), np.abs(high))
-        near = self.needed_m_s > -most
-        A, b = [self.rows.own[near]], [self.needed_m_s[near]]
+        needed = self.demands[0]
+        near = needed > -most
+        A, b = [self.rows.own[near]], [needed[near]]
         sense = [np.full(int(near.sum()), _SOFT, dtype=np.intc)]
         for _ in range(ROUNDS):
             cuts, needs, marks = self._cuts(y, look)
@@ -400,10 +412,12 @@ class _Gate:
                 np.concatenate([np.zeros(n, dtype=np.intc), *sense]),
             )
             if flag not in _SOLVED or not np.isfinite(found).all():
-                return
+                break
             y = found.clip(low, high)
             look = self._look(y)
-            yield y, look
+            if look.passes:
+                break
+        return y, look
 
     def _cuts(self, y: Array, look: _Look) -> tuple[Array, Array, NDArray[np.intc]]:
         """Rows (K, n) with A z >= b (K,), and daqp's marks, for what fails at y: stops hard, point speeds soft."""
@@ -429,14 +443,14 @@ class _Gate:
             needs.append(look.lack_m[e] + CUT_M + gradient @ y)
             marks.append(0)
         if self.links is not None:
-            for c in np.flatnonzero(look.over > 0.0):
+            for c in np.flatnonzero(look.over_m_s > 0.0):
                 cuts.append(-self.links.gradient(int(c), y)[None])
                 needs.append(-self.rules.point_speed_m_s)
                 marks.append(_SOFT)
         return np.concatenate(cuts), np.array(needs), np.array(marks, dtype=np.intc)
 
-    def _why(self, command: Array, moved: Array, look: _Look) -> tuple[tuple[str, ...], int | None]:
-        reasons, pair = [], None
+    def _why(self, command: Array, y: Array, look: _Look) -> tuple[tuple[str, ...], int | None]:
+        reasons, pair, moved = [], None, np.abs(y - command)
         if moved.max(initial=0.0) > SAME_RAD_S:
             joint = int(moved.argmax())
             reasons.append(
@@ -450,7 +464,7 @@ class _Gate:
             if pair is None:
                 row = np.searchsorted(self.rows.first, look.lack_m.argmax(), side="right") - 1
                 pair = int(self.rows.pair[row])
-        if (look.over > 0.0).any():
+        if (look.over_m_s > 0.0).any():
             reasons.append("point_speed")
         return tuple(reasons), pair
 
@@ -465,7 +479,7 @@ class _Gate:
         look = self._look(y) if look is None else look
         worst = int(look.short_m_s.argmax()) if len(look.short_m_s) else -1
         missed = worst >= 0 and look.short_m_s[worst] > 0.0
-        over = look.over.max(initial=-np.inf)
+        over = look.over_m_s.max(initial=-np.inf)
         return Gated(
             y,
             how,
@@ -478,11 +492,7 @@ class _Gate:
         )
 
 
-def _require(command: Array, state: JointState, rows: GateRows) -> None:
-    if command.shape != state.last.shape:
-        raise WorkcellError(
-            f"command has shape {command.shape}; must be that of the joints, {state.last.shape}"
-        )
+def _require_finite(state: JointState, rows: GateRows, other_m_s: Array) -> None:
     for name, values in (
         ("position", state.position),
         ("last", state.last),
@@ -493,6 +503,7 @@ def _require(command: Array, state: JointState, rows: GateRows) -> None:
         ("own", rows.own),
         ("rows", rows.rows),
         ("low_m", rows.low_m),
+        ("other_m_s", other_m_s),
     ):
         if not np.isfinite(values).all():
             raise WorkcellError(

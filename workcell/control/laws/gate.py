@@ -3,7 +3,9 @@
     largest_stopping_speed   how fast a joint may turn with so much room ahead of its end stop
     joint_box                interval of commands each joint may be given next
     end_rows                 the material points of each pair's own geom: rate rows, lever arms, distances
+    demands                  what the gate asks of each pair's rate and of each point's stop
     stop_margins             lower bound of each point's distance while the joints brake to rest
+    look                     how a command does by both
     stop_gradient            how one such bound changes with the command
     point_speeds             bound on the speed of any point of a link
 
@@ -257,6 +259,103 @@ def stop_margins(travel, first, order, rows, levers, low, margin):
     for p in range(len(first) - 1):
         for e in range(first[p], first[p + 1]):
             margin[e] = margin_of(e, p, travel, order, rows, levers, low)
+
+
+@law
+def demands(
+    near,
+    meeting,
+    other,
+    first,
+    low,
+    t_min,
+    d_min,
+    standoff,
+    hold,
+    slack_moving,
+    slack_at_rest,
+    clearance_most,
+    needed,
+    slack,
+    clearance,
+):
+    """What the gate asks of each pair's rate and of each point's stop.
+
+    The rate rule is d - standoff + t_min (own + other) >= 0, asked of `own` as far as standing keeps it: what
+    standing does not keep is for the arm's strategy to open. A pair at d_min, or at the distance that
+    stops hold, may only open. Pairs that are to meet know neither standoff nor d_min.
+
+    Args:
+        near: (P,) d.
+        meeting: (P,) whether the pair is to meet.
+        other: (P,) predicted rates that all but this arm cause.
+        first, low: As in `end_rows`.
+        t_min, d_min, standoff, hold: s, m, m, m.
+        slack_moving, slack_at_rest: Tolerances of rates, m/s.
+        clearance_most: Distance that a stop leaves, or half of what there is, m.
+        needed: (P,) out: smallest own rate, <= 0.
+        slack: (P,) out: its tolerance.
+        clearance: (E,) out: smallest margin; minus infinity where there is contact, which has the rule above.
+    """
+    for p in range(len(near)):
+        gap = near[p] - (0.0 if meeting[p] else standoff)
+        only_open = near[p] <= hold or (near[p] <= d_min and not meeting[p])
+        if only_open:
+            gap = min(gap, 0.0)
+        rate = -(gap / t_min + other[p])
+        needed[p] = 0.0 if rate > 0.0 else rate  # what is not a number stays so
+        slack[p] = slack_at_rest if only_open else slack_moving
+        for e in range(first[p], first[p + 1]):
+            if near[p] <= hold:
+                clearance[e] = -math.inf
+            else:
+                clearance[e] = hold + min(clearance_most, 0.5 * (low[e] - hold))
+
+
+@law
+def look(
+    command,
+    ahead_low,
+    ahead_high,
+    deceleration,
+    reaction,
+    own,
+    first,
+    order,
+    rows,
+    levers,
+    low,
+    needed,
+    slack,
+    clearance,
+    short,
+    lack,
+):
+    """How a command does: whether its rates and its stop are all that `demands` asks.
+
+    Args:
+        command, ahead_low, ahead_high, deceleration, reaction: As in `stop_travel`.
+        own, first, order, rows, levers, low: As in `end_rows`.
+        needed, slack, clearance: As in `demands`.
+        short: (P,) out: by how much a rate falls short beyond its tolerance; <= 0 where it is kept.
+        lack: (E,) out: by how much a margin falls short; <= 0 where it is kept.
+
+    Returns:
+        Whether all are kept; a number that is not finite keeps nothing.
+    """
+    travel = np.empty((2, len(command)))
+    stop_travel(command, ahead_low, ahead_high, deceleration, reaction, travel)
+    kept = True
+    for p in range(len(needed)):
+        rate = 0.0
+        for k in range(len(command)):
+            rate += own[p, k] * command[k]
+        short[p] = needed[p] - slack[p] - rate
+        kept = kept and short[p] <= 0.0
+        for e in range(first[p], first[p + 1]):
+            lack[e] = clearance[e] - margin_of(e, p, travel, order, rows, levers, low)
+            kept = kept and lack[e] <= 0.0
+    return kept
 
 
 @law
