@@ -10,7 +10,9 @@ from dm_control import mjcf
 
 from workcell import assets
 from workcell.scenario import Scenario
+from workcell.scene import arm_file
 from workcell.scene.addresses import ArmAddresses
+from workcell.scene.normal_form import normal_form
 
 
 def scene_xml(scenario: Scenario, pairs: tuple[tuple[str, str], ...]) -> str:
@@ -65,11 +67,10 @@ def scene_xml(scenario: Scenario, pairs: tuple[tuple[str, str], ...]) -> str:
         )
     for arm in scenario.arm:
         shipped = arm.model in assets.model_names()
-        model = mjcf.from_path(str(assets.model_file(arm.model) if shipped else Path(arm.model)))
+        file = arm_file.read(assets.model_file(arm.model) if shipped else Path(arm.model))
+        form = normal_form(file, np.array(arm.home_rad), range(len(file.joints)))
+        model = mjcf.from_xml_string(form.xml, assets=form.assets)
         model.model = arm.name
-        for geom in model.worldbody.find_all("geom"):
-            if geom.parent != model.worldbody:
-                geom.contype = geom.conaffinity = 0
         frame = root.attach(model)
         frame.pos, frame.quat = arm.base_position_m, arm.base_wxyz
     for item in scenario.instrument:

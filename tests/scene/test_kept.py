@@ -7,7 +7,6 @@ import os
 from functools import partial
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -20,8 +19,8 @@ from tests.scene.test_addresses import own_model
 from tests.scene.test_compose import mixed
 from workcell import assets, scenario
 from workcell.errors import InputError
+from workcell.scene import arm_file, compose, pairs
 from workcell.scene import cell as scene
-from workcell.scene import compose, pairs
 from workcell.scene.addresses import arm_addresses, instrument_addresses
 from workcell.scene.pairs import APART_M, FEW_SAMPLES, SAMPLES
 
@@ -65,7 +64,12 @@ def test_so_is_an_arm_with_all_that_its_file_may_have(tmp_path):
     asked = cells.load(tmp_path, laden(tmp_path))
     cell = scene.build(asked, tmp_path / "scene")
     assert cell.model.nmesh == 1
-    assert cell.model.sensor(len(cell.pairs)).type == mujoco.mjtSensor.mjSENS_CLOCK
+    assert cell.model.nsensor == len(cell.pairs), (
+        "an arm's own sensors are left out, and that is said"
+    )
+    assert any("2 sensors" in note for note in cell.notes)
+    assert any("gravity" in note for note in cell.notes)
+    assert cell.model.opt.gravity[2] == -9.81
     assert written(tmp_path / "scene") == plain.scene_xml(asked, cell.pairs.names)
 
 
@@ -169,10 +173,10 @@ def test_a_refused_file_is_refused_each_time_with_the_same_words(tmp_path, repla
 
 
 def test_what_is_kept_is_bounded(tmp_path):
-    for k in range(2 * compose._KEPT):
+    for k in range(2 * arm_file.KEPT):
         cells.build(tmp_path, own_model(tmp_path, {"372": str(372 + k)}))
-    for kept in (compose._read, compose._skeleton):
-        assert kept.cache_info().currsize <= compose._KEPT
+    for kept in (arm_file._read, compose._form, compose._skeleton):
+        assert kept.cache_info().currsize <= arm_file.KEPT
     assert len(pairs._self_extremes) <= pairs._KEPT
 
 

@@ -223,9 +223,12 @@ def _servo(model: mujoco.MjModel, joint: int) -> Servo | str:
             f"is moved by {len(acting)} actuators; exactly one position or velocity servo is needed"
         )
     (actuator,) = acting
+    if model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_NONE:
+        return "its actuator has dynamics of its own (timeconst, an integrator); a plain position or velocity servo is needed"
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
     if (
-        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+        model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
         and model.actuator_gear[actuator, 0] == 1.0
     ):
         if gain[0] > 0 and bias[1] == -gain[0]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from workcell.errors import InputError
 from workcell.scenario import Scenario
-from workcell.scene import compose
+from workcell.scene import compose, fidelity
 from workcell.scene.addresses import (
     ArmAddresses,
     InstrumentAddresses,
@@ -42,6 +42,8 @@ class Cell:
     """(P,) address of each pair's `fromto` sensor in sensordata."""
     digest: str
     """SHA-256 of scene.xml."""
+    notes: tuple[str, ...] = ()
+    """What of the arm files was not taken into the cell, a sentence each."""
 
     @property
     def period_s(self) -> float:
@@ -83,6 +85,8 @@ def build(scenario: Scenario, folder: Path) -> Cell:
     composed = compose.compose(scenario)
     bare = compose.preview(composed)
     # Sensors come last and change no number, so that what was resolved without them holds.
+    for part in composed.arms:
+        fidelity.compare(bare, part.name, part.file, part.form, part.home)
     arms, instruments = arm_addresses(bare, scenario), instrument_addresses(bare, scenario)
     pairs = watched_pairs(bare, arms, instruments, arms_digest=composed.arms_digest)
     compose.add_sensors(composed, pairs.names, SENSOR_CUTOFF_M)
@@ -97,6 +101,7 @@ def build(scenario: Scenario, folder: Path) -> Cell:
             [model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp
         ),
         digest=hashlib.sha256((folder / compose.SCENE_FILE).read_bytes()).hexdigest(),
+        notes=tuple(note for part in composed.arms for note in part.notes),
     )
 
 

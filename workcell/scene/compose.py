@@ -1,6 +1,6 @@
 """Scenario -> one MJCF scene.
 
-Every arm file is attached at its base pose under its own name (`surgeon/link3`), obstacles and the
+Every arm's normal form is attached at its base pose under its own name (`surgeon/link3`), obstacles and the
 floor become static geoms, and each watched pair gets a `fromto` sensor, so that MuJoCo itself
 computes the witness points. What is simulated is what is written: the model is compiled from the
 exported scene.xml. The only file that knows dm_control.
@@ -20,19 +20,22 @@ import copy
 import hashlib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 from lxml import etree  # comes with dm_control, whose trees are made of it
+from numpy.typing import NDArray
 
 from workcell import assets
 from workcell.errors import InputError
 from workcell.scenario import Arm, Instrument, Obstacle, Scenario
-from workcell.scene.content import digest as content_digest
+from workcell.scene import arm_file
+from workcell.scene.arm_file import HINGE, KEPT, SLIDE, ArmFile, plain
+from workcell.scene.normal_form import NormalForm, normal_form
 
 with warnings.catch_warnings():
     # dm_control probes for a window system when imported; composing needs none.
@@ -46,8 +49,6 @@ _FLOOR_HALF_EXTENTS_M = (3.0, 3.0, 0.05)
 _SKY, _TILES = "sky", "tiles"
 _OBSTACLE = Obstacle(name="obstacle", shape="sphere", size_m=(1.0,), position_m=(0.0, 0.0, 0.0))
 _INSTRUMENT = Instrument(name="instrument", position_m=(0.0, 0.0, 0.0))
-_KEPT = 8
-"""Arm files, and skeletons, that are kept; chosen larger than the number any one study has."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class Scene:
     """Its MJCF tree."""
     assets: dict[str, bytes]
     """Content of the files it names, by name."""
+    arms: tuple[ArmPart, ...]
+    """Its arms, in the order of the scenario file."""
     arms_digest: str
     """SHA-256 of names and files of its arms: equal in all scenes of the same arms, wherever these stand."""
 
@@ -69,17 +72,17 @@ def compose(scenario: Scenario) -> Scene:
         InputError: an arm file is missing, does not load, has no joints or no such tool site, or the
             home configuration has another number of joints.
     """
-    files: list[_ArmFile] = []
+    parts: list[ArmPart] = []
     faults: list[str] = []
     for arm in scenario.arm:
         try:
-            files.append(_file_of(arm))
+            parts.append(_part(arm, dynamic=scenario.simulation.plant == "dynamic"))
         except InputError as error:
             faults += error.faults
     if faults:
         raise InputError(faults, file=scenario.file)
     names = tuple(arm.name for arm in scenario.arm)
-    skeleton = _skeleton(scenario.simulation.period_s, names, tuple(files))
+    skeleton = _skeleton(scenario.simulation.period_s, names, tuple(part.form for part in parts))
     tree = copy.deepcopy(skeleton.tree)
     tree.set("model", scenario.name)
     world = tree.find("worldbody")
@@ -87,11 +90,20 @@ def compose(scenario: Scenario) -> Scene:
         _set(_child(world, "body", f"{arm.name}/"), pos=arm.base_position_m, quat=arm.base_wxyz)
     _replace(_child(world, "geom", _OBSTACLE.name), _obstacle, scenario.obstacle)
     _replace(_child(world, "body", _INSTRUMENT.name), _instrument, scenario.instrument)
-    return replace(skeleton, tree=tree)
+    arms = "\n".join(f"{part.name} {part.digest}" for part in parts)
+    return Scene(tree, skeleton.assets, tuple(parts), hashlib.sha256(arms.encode()).hexdigest())
 
 
-@lru_cache(maxsize=_KEPT)
-def _skeleton(period_s: float, names: tuple[str, ...], files: tuple[_ArmFile, ...]) -> Scene:
+@dataclass(frozen=True)
+class _Skeleton:
+    """What scenes of the same arms share."""
+
+    tree: etree._Element
+    assets: dict[str, bytes]
+
+
+@lru_cache(maxsize=KEPT)
+def _skeleton(period_s: float, names: tuple[str, ...], forms: tuple[NormalForm, ...]) -> _Skeleton:
     """The arms where nothing says otherwise, what every scene has, and the patterns; never to be changed."""
     root = mjcf.RootElement(model="skeleton")
     root.compiler.angle = "radian"
@@ -163,8 +175,8 @@ def _skeleton(period_s: float, names: tuple[str, ...], files: tuple[_ArmFile, ..
         contype=0,
         conaffinity=0,
     )
-    for name, file in zip(names, files, strict=True):
-        model = file.take()
+    for name, form in zip(names, forms, strict=True):
+        model = _tree_of(form)
         model.model = name
         frame = root.attach(model)
         frame.pos, frame.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
@@ -174,8 +186,7 @@ def _skeleton(period_s: float, names: tuple[str, ...], files: tuple[_ArmFile, ..
     tree = root.to_xml(precision=17)
     sensors = tree.find("sensor")
     sensors.remove(_child(sensors, "fromto", "pair"))
-    arms = "\n".join(f"{name} {file.digest}" for name, file in zip(names, files, strict=True))
-    return Scene(tree, root.get_assets(), hashlib.sha256(arms.encode()).hexdigest())
+    return _Skeleton(tree, root.get_assets())
 
 
 def _add_instrument(root: mjcf.RootElement, instrument: Instrument) -> None:
@@ -291,53 +302,31 @@ def _set(element: etree._Element, **numbers: Sequence[float]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _ArmFile:
-    """What was found in an arm file."""
+class ArmPart:
+    """An arm of a cell before it is attached."""
 
-    path: Path
-    digest: str
-    """Of its content and of all that it names."""
-    joints: tuple[tuple[str | None, str], ...]
-    """Name and type of each."""
-    sites: tuple[str | None, ...]
-    has_keyframe: bool
-    _unused: list[mjcf.RootElement]
-    """The tree these were found in, until it is attached."""
+    name: str
+    file: ArmFile
+    """Its file, compiled alone."""
+    form: NormalForm
+    """What is attached."""
+    home: NDArray[np.float64]
+    """(nq,) home configuration of the file's model, driven or not."""
 
-    def take(self) -> mjcf.RootElement:
-        """A tree of its own for a scene, without contacts."""
-        model = self._unused.pop() if self._unused else _parse(self.path)
-        for body in model.find_all("body"):
-            for geom in body.find_all("geom", immediate_children_only=True):
-                # A collision here is a verdict of the checks, not a bounce: contacts would only blur it.
-                geom.contype, geom.conaffinity = 0, 0
-        return model
+    @property
+    def digest(self) -> str:
+        """Equal for arms of equal files that hold their undriven joints alike."""
+        return f"{self.file.digest} {hashlib.sha256(self.form.xml.encode()).hexdigest()}"
 
-
-@lru_cache(maxsize=_KEPT)
-def _read(path: Path, digest: str) -> _ArmFile:
-    """Look into an arm file; `digest` is that of its content, by which it is kept."""
-    model = _parse(path)
-    return _ArmFile(
-        path=path,
-        digest=digest,
-        joints=tuple(
-            (joint.name, "freejoint" if joint.tag == "freejoint" else joint.type or "hinge")
-            for joint in model.find_all("joint")
-        ),
-        sites=tuple(site.name for site in model.find_all("site")),
-        has_keyframe=bool(model.find_all("key")),
-        _unused=[model],
-    )
+    @property
+    def notes(self) -> Iterator[str]:
+        """What was not taken from the file, and which joints are held."""
+        for note in (*self.file.neutralised, *self.form.left_out):
+            yield f"arm.{self.name}: {self.file.path.name}: {note}"
 
 
-def _parse(path: Path) -> mjcf.RootElement:
-    with _quiet_parser():
-        return mjcf.from_path(str(path))
-
-
-def _file_of(arm: Arm) -> _ArmFile:
-    """The file of an arm; what cannot be driven is refused, all reasons at once."""
+def _part(arm: Arm, *, dynamic: bool) -> ArmPart:
+    """An arm of the scenario; what cannot be driven is refused, all reasons at once."""
     path = assets.model_file(arm.model) if arm.model in assets.model_names() else Path(arm.model)
     key = f"arm.{arm.name}"
     if not path.is_file():
@@ -345,43 +334,47 @@ def _file_of(arm: Arm) -> _ArmFile:
             f"{key}.model = {arm.model!r}: no such arm file; allowed: a path to an MJCF file, or one of {', '.join(assets.model_names())}"
         )
     try:
-        file = _read(path, content_digest(path))
-    except (
-        Exception
-    ) as error:  # whatever the XML parser, the schema or an include raises, the file is at fault
+        file = arm_file.read(path)
+    except InputError as error:
         raise InputError(
-            f"{key}.model = {str(path)!r}: is not a readable MJCF file: {error}"
+            [f"{key}.model = {str(path)!r}: {fault}" for fault in error.faults]
         ) from error
-    faults = []
+    faults = [
+        f"{key}.model = {str(path)!r}: joint {name!r} is of type {kind}; allowed are hinge and slide"
+        for name, kind in zip(file.joints, file.kinds, strict=True)
+        if kind not in (HINGE, SLIDE)
+    ]
     if not file.joints:
         faults.append(
             f"{key}.model = {str(path)!r}: has no joints; an arm needs at least one hinge or slide joint"
         )
-    for name, kind in file.joints:
-        if kind not in ("hinge", "slide"):
-            faults.append(
-                f"{key}.model = {str(path)!r}: joint {name!r} is of type {kind}; allowed are hinge and slide"
-            )
-    if file.joints and len(file.joints) != len(arm.home_rad):
+    elif len(file.joints) != len(arm.home_rad):
         faults.append(
-            f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(file.joints)} joints ({', '.join(name or '?' for name, _ in file.joints)})"
+            f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(file.joints)} joints ({', '.join(file.joints)})"
         )
     for site_key, site in (("tool_site", arm.tool_site), ("elbow_site", arm.elbow_site)):
-        if site is not None and site not in file.sites:
+        if site is not None and plain(site) not in file.sites:
             faults.append(
-                f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(s for s in file.sites if s) or 'it has no sites'}"
+                f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(file.sites) or 'it has no sites'}"
             )
-    if file.has_keyframe:
-        faults.append(
-            f"{key}.model = {str(path)!r}: has a keyframe, which cannot be attached beside other arms; remove it"
-        )
     if faults:
         raise InputError(faults)
-    return file
+    driven = tuple(range(len(file.joints)))
+    try:
+        form = _form(file, arm.home_rad, driven)
+    except InputError as error:
+        raise InputError(
+            [f"{key}.model = {str(path)!r}: {fault}" for fault in error.faults]
+        ) from error
+    return ArmPart(arm.name, file, form, np.array(arm.home_rad))
 
 
-@contextmanager
-def _quiet_parser() -> Iterator[None]:
+@lru_cache(maxsize=KEPT)
+def _form(file: ArmFile, home: tuple[float, ...], driven: tuple[int, ...]) -> NormalForm:
+    return normal_form(file, np.array(home), driven)
+
+
+def _tree_of(form: NormalForm) -> mjcf.RootElement:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", category=DeprecationWarning)
-        yield
+        return mjcf.from_xml_string(form.xml, assets=form.assets)
