@@ -38,4 +38,6 @@ def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
     stdout.print(
         f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
     )
+    for note in cell.notes:
+        stdout.print(note, markup=False)
     return OK
