@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control.gate import GateRules, JointLimits, JointState
-from workcell.control.gate_rows import GateGeometry
+from workcell.control.gate import GateGeometry, GateRules, JointLimits, JointState
 from workcell.control.proximity import PairGeometry
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control.gate import GateLinks, GateRows
+from workcell.control.gate.data import GateLinks, GateRows
 from workcell.control.laws import gate as laws
 from workcell.control.proximity import Proximity
 
