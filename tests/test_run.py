@@ -18,6 +18,7 @@ from tests import cells
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.errors import InputError
+from workcell.simulation.plant import Plant
 from workcell.trace.table import load
 
 SHORT = ("simulation.duration_s=1.6",)
@@ -106,14 +107,14 @@ def test_expectations_are_judged(twice, expect, held):
 
 def test_a_state_that_is_not_finite_ends_the_run_with_its_tick(tmp_path, monkeypatch):
     """The plant breaks at tick 50: the run stops, says where, and the 50 ticks before are readable."""
-    real = runner._step_kinematic
+    real = Plant.step
 
-    def breaking(cell, plant, controller, data):
+    def breaking(plant, controller):
         if controller.tick == 50:
-            data.qpos[1] = np.nan
-        real(cell, plant, controller, data)
+            plant.data.qpos[1] = np.nan
+        return real(plant, controller)
 
-    monkeypatch.setattr(runner, "_step_kinematic", breaking)
+    monkeypatch.setattr(Plant, "step", breaking)
     summary = run(tmp_path, *SHORT)
     assert summary["held"] is False
     assert summary["metrics"]["fault"].startswith("tick 50: qpos, the measured joint positions")

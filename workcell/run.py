@@ -10,35 +10,26 @@ give the same trace.
 
 from __future__ import annotations
 
-import copy
 import json
-import platform
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import mujoco
-import numpy as np
 
-from workcell import __version__
 from workcell.control import feasible
 from workcell.control.controller import Controller
-from workcell.control.kernels import library
 from workcell.errors import ControlFault, InputError
 from workcell.guard.check_setup import check_settings, refusal, without_geometry
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.supervisor import LatchedCheck
-from workcell.scenario import Exchange, Fetch, Live, Meet, Put, Scenario
+from workcell.provenance import layout, metadata, origin, versions
+from workcell.scenario import Live, Scenario
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
-from workcell.scene.contacts import hand_bodies
-from workcell.signals import Layout
-from workcell.simulation.measurement import Measurement
+from workcell.simulation.plant import Plant
 from workcell.trace import metrics
 from workcell.trace.expectations import judge
 from workcell.trace.preflight import check_space, check_writable
@@ -52,18 +43,6 @@ RECORDING_FILE = "recording.rrd"
 SCENE_FOLDER = "scene"
 CHECK_STOP = "stopped_by_check"
 """Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
-
-PACKAGES = (
-    "mujoco",
-    "dm-control",
-    "mink",
-    "daqp",
-    "rerun-sdk",
-    "numpy",
-    "scipy",
-    "pyarrow",
-)
-"""Packages whose versions decide what a trace holds."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +73,7 @@ def run(
         The summary, as written to summary.json.
 
     Raises:
-        InputError: the scenario cannot be run as it is.
+        InputError: the scenario cannot be run as it is, or another simulation of this process is under way.
     """
     _refuse_live(scenario)
     check_writable(out)
@@ -147,26 +126,21 @@ def simulate(
             wants it.
     """
     scenario = cell.scenario
-    plant = _without_sensors(cell.model)
-    data = mujoco.MjData(plant)
-    cell.place_home(data)
-    step = _step_kinematic if scenario.simulation.plant == "kinematic" else _step_dynamic
     fault, interrupted = None, False
     with ExitStack() as stack:
         if check is None:
             check = stack.enter_context(final_check(cell, out))
-        controller = Controller(cell, check=check)
+        plant, controller = Plant(cell), Controller(cell, check=check)
+        # Before the trace: where another simulation is under way, nothing is written.
+        stack.enter_context(plant.steered_by(controller))
         trace = stack.enter_context(
             TraceWriter(out, layout(cell), metadata(cell), cell.period_s, flush_s=flush_s)
         )
-        measurement = Measurement(scenario.simulation)
-        stack.enter_context(installed(controller, measurement, data))
         try:
             for tick in range(scenario.ticks):
-                if watch and watch(tick, data, controller):
+                if watch and watch(tick, plant.data, controller):
                     break
-                step(cell, plant, controller, data)
-                trace.append(controller.record)
+                trace.append(plant.step(controller))
                 if progress and tick % 250 == 0:
                     progress(tick, scenario.ticks)
         except ControlFault as error:
@@ -266,150 +240,3 @@ def _stop_of_check(ending: Ending) -> str:
         return "off"
     halt = ending.check["halt"]
     return "none" if halt is None else str(halt["state"])
-
-
-def layout(cell: Cell) -> Layout:
-    """What fixes the width of the trace's columns."""
-    return Layout(
-        arms=tuple(arm.name for arm in cell.arms),
-        joints=tuple(cell.model.joint(j).name for j in range(cell.model.njnt)),
-        nq=cell.model.nq,
-        nv=cell.model.nv,
-        pairs=cell.pairs.names,
-    )
-
-
-def metadata(cell: Cell) -> dict[str, str]:
-    """Where a trace comes from: stored with it, apart from the data."""
-    return {
-        "scenario": cell.scenario.digest(),
-        "settings": cell.scenario.model_dump_json(),
-        "versions": json.dumps(versions()),
-        "platform": _platform(),
-        "seed": str(cell.scenario.simulation.seed),
-        "model_sha256": cell.digest,
-        "meeting_pairs": json.dumps(meeting_pairs(cell)),
-        "hands": json.dumps(hands(cell)),
-        "person_pairs": json.dumps(person_pairs(cell)),
-        "dofs": json.dumps({arm.name: arm.dofs.tolist() for arm in cell.arms}),
-    }
-
-
-def origin(cell: Cell) -> dict[str, Any]:
-    """When and where a run began: apart from the trace, so that equal runs have equal traces."""
-    return {
-        "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "platform": _platform(),
-        "versions": versions(),
-        "scenario_sha256": cell.scenario.digest(),
-        "model_sha256": cell.digest,
-        "seed": cell.scenario.simulation.seed,
-    }
-
-
-def _platform() -> str:
-    return f"{platform.system()} {platform.machine()} Python {platform.python_version()}"
-
-
-def person_pairs(cell: Cell) -> list[int]:
-    """Pairs that only people answer for: arms they drive, with themselves, each other or what stands."""
-    driven = {arm.name for arm in cell.scenario.arm if arm.operator is not None}
-    return [
-        k
-        for k, owners in enumerate(cell.pairs.owners)
-        if all(owner is None or owner in driven for owner in owners)
-    ]
-
-
-def hands(cell: Cell) -> dict[str, list[int]]:
-    """Watched pairs of an instrument with an arm's own hand, by `instrument=arm`: they do not count while it holds it."""
-    bodies = {arm.name: hand_bodies(cell.model, arm) for arm in cell.arms}
-    found: dict[str, list[int]] = {}
-    for k, (geoms, owners) in enumerate(zip(cell.pairs.geoms, cell.pairs.owners, strict=True)):
-        item, arm = owners
-        if arm in bodies and item not in bodies and cell.model.geom_bodyid[geoms[1]] in bodies[arm]:
-            found.setdefault(f"{item}={arm}", []).append(k)
-    return found
-
-
-def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
-    """Watched pairs that a job brings together on purpose: tools that meet, and instruments with the hands they pass through."""
-    tools = {arm.name: cell.model.site_bodyid[arm.tool_site] for arm in cell.arms}
-    meetings: list[set[str]] = []
-    for arm in cell.scenario.arm:
-        for job in arm.job:
-            if isinstance(job, Meet):
-                meetings.append({arm.name, job.arm})
-            elif isinstance(job, Exchange):
-                meetings += [{arm.name, job.instrument}, {job.arm, job.instrument}]
-            elif isinstance(job, (Fetch, Put)):
-                meetings.append({arm.name, job.instrument})
-    return [
-        names
-        for (g, h), names, owners in zip(
-            cell.pairs.geoms, cell.pairs.names, cell.pairs.owners, strict=True
-        )
-        if set(owners) in meetings
-        and all(
-            o not in tools or cell.model.geom_bodyid[x] == tools[o]
-            for x, o in zip((g, h), owners, strict=True)
-        )
-    ]
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that decides what a trace holds, and which arithmetic is used (docs/performance.md)."""
-    packages = {name: version(name) for name in PACKAGES}
-    return {"workcell": __version__} | packages | {"kernels": library.in_use()}
-
-
-@contextmanager
-def installed(
-    controller: Controller, measurement: Measurement, data: mujoco.MjData
-) -> Iterator[None]:
-    """Install the controller as MuJoCo's control callback for one plant, and remove it whatever happens."""
-
-    def callback(called_model: mujoco.MjModel, called_data: mujoco.MjData) -> None:
-        # The callback is global to the process: other simulations in it must not be steered.
-        if called_data is data:
-            controller.control(data, *measurement.read(data.qpos, data.qvel))
-
-    mujoco.set_mjcb_control(callback)
-    try:
-        yield
-    finally:
-        mujoco.set_mjcb_control(None)
-
-
-def _without_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The plant: the same model, which moves the same. Witness points are the controller's to find, on its own data."""
-    plant = copy.copy(model)
-    plant.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    return plant
-
-
-def _step_dynamic(
-    cell: Cell, plant: mujoco.MjModel, controller: Controller, data: mujoco.MjData
-) -> None:
-    """One control period of MuJoCo's dynamics; the callback fires inside."""
-    _carry(cell, controller, data)
-    mujoco.mj_step(plant, data)
-
-
-def _step_kinematic(
-    cell: Cell, plant: mujoco.MjModel, controller: Controller, data: mujoco.MjData
-) -> None:
-    """One control period in which every joint does exactly what it was commanded."""
-    _carry(cell, controller, data)
-    mujoco.mj_forward(plant, data)
-    data.qvel[:] = controller.record.command_rad_s
-    mujoco.mj_integratePos(plant, data.qpos, np.asarray(data.qvel), cell.period_s)
-    data.time += cell.period_s
-
-
-def _carry(cell: Cell, controller: Controller, data: mujoco.MjData) -> None:
-    """Held instruments are where their tools are; their weight is too small to be felt by an arm."""
-    if cell.instruments:
-        mujoco.mj_kinematics(cell.model, data)
-        mujoco.mj_comPos(cell.model, data)
-        controller.grasps.carry(data)

@@ -17,14 +17,14 @@ import pytest
 from tests.bench.conftest import Stopwatch, drive, timed
 from workcell import run as runner
 from workcell import scenario as scenario_file
-from workcell.control import controller as controller_module
-from workcell.control import criteria, ttc
+from workcell.control import controller, criteria, sensing, ttc
 from workcell.control.compiled import CompiledShare, CompiledWatched
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
 from workcell.control.kernels import library
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
+from workcell.control.setpoints import Setpoints
 from workcell.control.share import Watched
 from workcell.scene import cell as scene
 from workcell.trace.writer import TraceWriter
@@ -34,15 +34,16 @@ STAGES = (
     ("witness points (MuJoCo)", mujoco, "mj_sensorPos"),
     ("distance, normal, G", PairGeometry, "measure"),
     ("rates, first-order times", CompiledWatched, "rates"),
-    ("d̈", controller_module, "second_order"),
+    ("d̈", sensing, "second_order"),
     ("second-order times", ttc, "reciprocal_second_order"),
     ("criterion: its values", CompiledShare, "surroundings"),
     ("inverse kinematics: target", ArmIk, "aim"),
     ("inverse kinematics: criterion, rows, program", CompiledShare, "solve"),
     ("scaling: factor and joints' reach", CompiledShare, "allow"),
     ("scaling: is the command kept", CompiledShare, "keeps"),
-    ("jobs and path", Controller, "_advance"),
+    ("jobs and path", Setpoints, "_advance"),
     ("final check: hand-over", Controller, "_ask"),
+    ("record of the tick", controller, "outcome"),
     ("log: a row", TraceWriter, "append"),
     ("plant", mujoco, "mj_step"),
 )

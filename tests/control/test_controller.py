@@ -14,7 +14,6 @@ from tests import cells
 from workcell.control.controller import Controller
 from workcell.control.record import TickRecord
 from workcell.errors import ControlFault
-from workcell.run import Measurement, installed
 from workcell.scene import cell as scene
 
 
@@ -52,31 +51,7 @@ def exchange(cell) -> list[TickRecord]:
     return records
 
 
-# ---------------------------------------------------------------- the callback
-
-
-def test_the_callback_is_removed_whatever_happens(cell):
-    data = home(cell)
-    with installed(Controller(cell), Measurement(cell.scenario.simulation), data):
-        assert mujoco.get_mjcb_control() is not None
-    assert mujoco.get_mjcb_control() is None
-    with (
-        pytest.raises(ZeroDivisionError),
-        installed(Controller(cell), Measurement(cell.scenario.simulation), data),
-    ):
-        raise ZeroDivisionError
-    assert mujoco.get_mjcb_control() is None
-
-
-def test_other_simulations_in_the_process_are_not_steered(cell):
-    controller, data, foreign = Controller(cell), home(cell), home(cell)
-    with installed(controller, Measurement(cell.scenario.simulation), data):
-        mujoco.mj_step(cell.model, foreign)
-        assert controller.tick == 0
-        assert not foreign.ctrl.any()
-        mujoco.mj_step(cell.model, data)
-        assert controller.tick == 1
-        assert data.ctrl.any()
+# ---------------------------------------------------------------- a tick is data
 
 
 def test_the_belief_is_not_the_plant(cell):

@@ -164,7 +164,7 @@ def test_nobody_gives_way_for_what_its_own_base_comes_near_to(tmp_path):
     assert ("surgeon/carriage_capsule", "nurse/base_capsule") in names
     data = mujoco.MjData(cell.model)
     cell.place_home(data)
-    controller._measure(data.qpos.copy(), data.qvel.copy())
+    controller._sensing.measure(0, data.qpos.copy(), data.qvel.copy(), settings)
     still = np.zeros(len(share.arm.dofs))
     share.other_m_s[owned[standing]] = -10.0
     allowance = share.allow(still, still, cell.period_s, settings)
@@ -181,7 +181,7 @@ def test_of_two_support_arms_the_one_that_comes_answers_near_a_base(tmp_path):
         | {"name": "assistant", "base_position_m": [0.0, -0.9, 0.0], "priority": 2}
     )
     cell = cells.build(tmp_path, content)
-    arms = {arm.addresses.name: arm for arm in Controller(cell)._arms}
+    arms = {arm.name: arm for arm in Controller(cell)._arms}
     owned = {
         name: {cell.pairs.names[k] for k in arm.share.pairs.owned} for name, arm in arms.items()
     }

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from tests import cells
-from workcell.control.controller import REJOIN_M, Controller, TickRecord
-from workcell.control.ladder import ATTEMPT_S, ATTEMPTS, IMPASSE_S
+from workcell.control.controller import Controller
+from workcell.control.record import TickRecord
+from workcell.control.recovery import ATTEMPT_S, ATTEMPTS, IMPASSE_S
+from workcell.control.setpoints import REJOIN_M
 
 DT = 0.02
 STANDOFF_M = 0.02

@@ -1,49 +1,90 @@
-"""What the controller keeps for one arm: its solver, its driver, its part of the watched pairs."""
+"""What the controller keeps for one arm: what never changes, and a small memory of the last tick."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import mink
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.ik import ArmIk
-from workcell.control.ladder import Ladder
-from workcell.control.scaling import FactorGovernor
 from workcell.control.servo import ServoCommand
 from workcell.control.share import Share
+from workcell.control.strategy import Strategy
+from workcell.control.tick import ArmTick, Steering
 from workcell.motion.jobs import JobSequence
 from workcell.motion.operators import make_operator
 from workcell.motion.path import Target, standing
+from workcell.motion.setpoint import Operator
 from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
+from workcell.scene.contacts import as_slice, window_name
+
+
+@dataclass(slots=True)
+class ArmMemory:
+    """All that lasts of an arm from one tick to the next, its strategy's own memory apart."""
+
+    target: Target
+    """The last one."""
+    command_rad_s: NDArray[np.float64]
+    """(n,) last command, from which the joints' acceleration counts."""
+    nominal_rad_s: NDArray[np.float64]
+    """(n,) last nominal velocity, from which the nominal acceleration counts: a scaled arm stays on its path."""
+    answer: Steering
+    """What its strategy answered last."""
+    approach_tried: bool = False
+    """Whether another approach side has been tried since the strategy asks for one."""
 
 
 class ControlledArm:
-    """What the controller keeps for one arm: its part of the pairs, its solver, its driver."""
+    """One arm of the controller.
 
-    def __init__(self, cell: Cell, addresses: ArmAddresses, configuration: mink.Configuration):
-        control, dt, nv = cell.scenario.control, cell.period_s, cell.model.nv
+    Args:
+        cell: The cell.
+        addresses: Of this arm.
+        configuration: The controller's belief, at home.
+        strategy: What steers it.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        addresses: ArmAddresses,
+        configuration: mink.Configuration,
+        strategy: Strategy,
+    ):
+        control, dt, n = cell.scenario.control, cell.period_s, len(addresses.dofs)
         settings = next(arm for arm in cell.scenario.arm if arm.name == addresses.name)
         self.addresses = addresses
+        self.name = addresses.name
+        self.support = addresses.support
         self.dofs = addresses.dofs
-        self.columns = _columns(addresses.dofs)
-        """Where they are in a joint velocity of the whole cell."""
-        self.support = bool(settings.job)
+        self.columns = as_slice(addresses.dofs)
+        """Where its joints are in a joint velocity of the whole cell."""
+        self.configuration = configuration
+        self.strategy = strategy
         self.ik = ArmIk(
             addresses,
-            nv=nv,
+            nv=cell.model.nv,
             dt_s=dt,
             task_gain_per_s=control.task_gain_per_s,
             criterion_gain=control.criterion_gain,
         )
         self.servo = ServoCommand(addresses, dt_s=dt)
-        self.ladder = Ladder(period_s=dt, yields=control.yields, resolves=control.resolves_impasse)
-        self.attempt = ""
-        self.governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=dt)
+        self.share: Share
+        """Its part of the watched pairs; another one whenever an instrument changes hands."""
+        self.meeting_pairs: NDArray[np.intp] = np.array([], dtype=np.intp)
+        """Pairs that its present job brings together."""
+        self.meeting_key: object = None
+        """The job's meeting and the holders for which they were looked up."""
         pose = configuration.get_transform_frame_to_world(addresses.tool_site_name, "site")
         position, wxyz = pose.translation(), pose.rotation().wxyz
-        self.jobs = (
-            JobSequence(
+        self.jobs: JobSequence | None = None
+        self.operator: Operator | None = None
+        if settings.job:
+            self.jobs = JobSequence(
                 settings.job,
                 arm=addresses.name,
                 position_m=position,
@@ -51,13 +92,8 @@ class ControlledArm:
                 d_min_m=control.d_min_m,
                 repeat=settings.job_repeat,
             )
-            if self.support
-            else None
-        )
-        self.operator = (
-            None
-            if settings.operator is None
-            else make_operator(
+        elif settings.operator is not None:
+            self.operator = make_operator(
                 settings.operator,
                 position,
                 wxyz,
@@ -65,28 +101,10 @@ class ControlledArm:
                 name=addresses.name,
                 period_s=dt,
             )
-        )
-        self.share: Share
-        """Its part of the watched pairs, dealt out by the controller."""
-        self.target: Target = standing(position, wxyz)
-        self.elbow_speed_m_s = 0.0
-        """Speed at which the operator wants the elbow to swing to the left."""
-        self.command_rad_s = self.command_before_rad_s = np.zeros(len(addresses.dofs))
-        """(n,) commanded now, and in the tick before."""
-        self.wanted_rad_s = np.zeros(len(addresses.dofs))
-        self.task_rad_s = self.followed_rad_s = np.zeros(len(addresses.dofs))
-        """(n,) the smallest motion that does what the target asks, and what the joint limits let through of it."""
-        self.factor = 1.0
-        self.paused = False
-        """Whether the path stands still while self-motion is tried against an impasse."""
-        self.held = False
-        """Whether the path stands still until the tool has come back to it."""
-        self.meeting_key: object = None
-        self.meeting_pairs = np.array([], dtype=np.intp)
-        self.tried_entry = False
-        """Whether another entry has been tried in the present attempt."""
         base = cell.model.body_rootid[cell.model.site_bodyid[addresses.tool_site]]
         self.base_position_m = configuration.data.xpos[base].copy()
+        still = np.zeros(n)
+        self.memory = ArmMemory(standing(position, wxyz), still, still, Steering(still, still))
 
     @property
     def window(self) -> str | None:
@@ -94,11 +112,13 @@ class ControlledArm:
         meeting = None if self.jobs is None else self.jobs.meeting
         if meeting is None:
             return None
-        return f"{self.addresses.name}_{meeting.arm or meeting.instrument}"
+        return window_name(self.name, meeting.arm or str(meeting.instrument))
 
-
-def _columns(dofs: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """The same entries as a slice where they follow each other, which is ten times as fast to write to."""
-    first, last = int(dofs[0]), int(dofs[-1])
-    follows = np.array_equal(dofs, np.arange(first, last + 1))
-    return slice(first, last + 1) if follows else dofs
+    def remember(self, tick: ArmTick) -> None:
+        """Keep what the next tick needs of this one."""
+        memory, answer = self.memory, tick.steering
+        memory.target, memory.answer = tick.setpoint.target, answer
+        memory.nominal_rad_s, memory.command_rad_s = (
+            answer.nominal_rad_s,
+            tick.command.velocity_rad_s,
+        )

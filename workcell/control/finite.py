@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workcell.errors import WorkcellError
+from workcell.errors import ControlFault, WorkcellError
 
 
 def finite(name: str, values: ArrayLike) -> NDArray[np.float64]:
@@ -43,3 +43,9 @@ def alike(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     if all(array.shape == arrays[0].shape for array in arrays[1:]):
         return arrays
     return tuple(np.broadcast_arrays(*arrays))
+
+
+def require_finite(tick: int, values: NDArray[np.float64], what: str) -> None:
+    """Raise a `ControlFault` of this tick that names what is not finite."""
+    if not all_finite(values):
+        raise ControlFault(tick, f"{what}, is not finite: {np.asarray(values).tolist()}")

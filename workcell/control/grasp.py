@@ -1,112 +1,61 @@
-"""Who holds which instrument, and what follows for motion and for the watched pairs.
+"""Who holds which instrument, and what follows for the watched pairs.
 
-A held instrument moves with the tool as one rigid body: its pose is carried along, and the columns
-of G that belong to its free joint are folded onto the joints of the arm that holds it. It counts as
-part of that arm from the tick it is taken: pairs with its own hand are switched off, pairs with
-everything else are the holder's to keep apart.
+A held instrument moves with the tool as one rigid body: the columns of G that belong to its free
+joint are folded onto the joints of the arm that holds it. It counts as part of that arm from the
+tick it is taken: pairs with its own hand are inactive, pairs with everything else are the holder's
+to keep apart. Where the plant has the instrument is `simulation/instruments.py`.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.scene.addresses import ArmAddresses, InstrumentAddresses
 from workcell.scene.cell import Cell
-from workcell.scene.contacts import hand_bodies
-
-
-@dataclass(frozen=True)
-class _Grasp:
-    arm: ArmAddresses
-    position_m: NDArray[np.float64]
-    """(3,) of the instrument in the tool frame."""
-    wxyz: NDArray[np.float64]
-    """(4,)"""
-    dofs: slice | NDArray[np.intp]
-    """Of the arm, into qvel: a slice, which takes no copy, where they follow one another."""
+from workcell.scene.contacts import CarriedMotion, hand_bodies
 
 
 class Grasps:
-    """The instruments of a cell and the arms that hold them.
+    """The instruments of a cell and the arms that hold them, at the start those of the scenario.
 
     Args:
         cell: The cell.
-        data: At home, after `mj_kinematics`: where instruments held from the start are gripped.
     """
 
-    def __init__(self, cell: Cell, data: mujoco.MjData):
+    def __init__(self, cell: Cell):
         self._cell = cell
         self._arms = {arm.name: arm for arm in cell.arms}
         self._items = {item.name: item for item in cell.instruments}
-        self._held: dict[str, _Grasp] = {}
+        self._held = {item.name: item.held_by for item in cell.instruments if item.held_by}
         self._hands = {arm.name: hand_bodies(cell.model, arm) for arm in cell.arms}
-        self._jacobian = np.empty((6, cell.model.nv))
-        self._rotation = np.empty(9)
-        """Rewritten at every call: of the place of a held instrument, and of the instrument."""
+        self._carried = CarriedMotion(cell.model)
         self.holders: dict[str, str | None] = {}
         """For every instrument the arm that holds it, None where it lies; another dict after every change."""
         self._summary = ""
         self._tell()
-        for item in cell.instruments:
-            if item.held_by is not None:
-                self.take(item.name, item.held_by, data)
 
     def holder(self, instrument: str) -> str | None:
         """Name of the arm that holds an instrument; None where it lies."""
-        grasp = self._held.get(instrument)
-        return None if grasp is None else grasp.arm.name
+        return self._held.get(instrument)
 
     def holding(self, arm: str) -> str | None:
         """Name of the instrument an arm holds."""
-        return next((name for name, grasp in self._held.items() if grasp.arm.name == arm), None)
+        return next((name for name, holder in self._held.items() if holder == arm), None)
 
     def summary(self) -> str:
         """Who holds what, for the log: `scalpel=nurse clamp=`."""
         return self._summary
 
-    def take(self, instrument: str, arm: str, data: mujoco.MjData) -> None:
-        """From now on the arm holds the instrument, where it is now."""
-        item, addresses = self._items[instrument], self._arms[arm]
-        pose = data.qpos[item.qpos : item.qpos + 7].copy()
-        position, wxyz = np.empty(3), np.empty(4)
-        tool_position, tool_wxyz = _tool_pose(data, addresses)
-        back_position, back_wxyz = np.empty(3), np.empty(4)
-        mujoco.mju_negPose(back_position, back_wxyz, tool_position, tool_wxyz)
-        mujoco.mju_mulPose(position, wxyz, back_position, back_wxyz, pose[:3], pose[3:])
-        self._held[instrument] = _Grasp(addresses, position, wxyz, _as_slice(addresses.dofs))
+    def take(self, instrument: str, arm: str) -> None:
+        """From now on the arm holds the instrument."""
+        self._held[instrument] = arm
         self._tell()
 
     def let_go(self, instrument: str) -> None:
         """From now on nobody holds the instrument; it stays where it is."""
         del self._held[instrument]
         self._tell()
-
-    def carry(self, data: mujoco.MjData) -> None:
-        """Put every held instrument where its tool is, at rest against it; needs current kinematics.
-
-        An instrument that nobody holds lies still.
-        """
-        for name, item in self._items.items():
-            if name not in self._held:
-                data.qvel[item.dof : item.dof + 6] = 0.0
-        for name, grasp in self._held.items():
-            item = self._items[name]
-            tool_position, tool_wxyz = _tool_pose(data, grasp.arm)
-            mujoco.mju_mulPose(
-                data.qpos[item.qpos : item.qpos + 3],
-                data.qpos[item.qpos + 3 : item.qpos + 7],
-                tool_position,
-                tool_wxyz,
-                grasp.position_m,
-                grasp.wxyz,
-            )
-            data.qvel[item.dof : item.dof + 6] = (
-                self._follow(data, item, grasp) @ data.qvel[grasp.dofs]
-            )
 
     def fold(self, data: mujoco.MjData, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
         """G (P, nv) with held instruments as part of their arms, and lying ones as part of the world."""
@@ -115,9 +64,11 @@ class Grasps:
         folded = jacobian.copy()
         for name, item in self._items.items():
             own = slice(item.dof, item.dof + 6)
-            grasp = self._held.get(name)
-            if grasp is not None:
-                folded[:, grasp.dofs] += folded[:, own] @ self._follow(data, item, grasp)
+            holder = self._held.get(name)
+            if holder is not None:
+                arm = self._arms[holder]
+                follow = self._carried.per_joint(data, item, arm)
+                folded[:, self._carried.columns(arm)] += folded[:, own] @ follow
             folded[:, own] = 0.0
         return folded
 
@@ -159,38 +110,7 @@ class Grasps:
             held is not None and geom == self._items[held].geom
         )
 
-    def _follow(
-        self, data: mujoco.MjData, item: InstrumentAddresses, grasp: _Grasp
-    ) -> NDArray[np.float64]:
-        """(6, n): the velocities of the instrument's free joint per joint velocity of the arm that holds it.
-
-        Good until the next call.
-        """
-        model, jacobian, rotation = self._cell.model, self._jacobian, self._rotation
-        body = model.site_bodyid[grasp.arm.tool_site]
-        position = data.qpos[item.qpos : item.qpos + 3]
-        mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], position, body)
-        mujoco.mju_quat2Mat(rotation, data.qpos[item.qpos + 3 : item.qpos + 7])
-        follow = jacobian[:, grasp.dofs]
-        # A free joint turns in its own frame and moves in the world's.
-        follow[3:] = rotation.reshape(3, 3).T @ follow[3:]
-        return follow
-
     def _tell(self) -> None:
         """Say anew who holds what: asked every tick, changed a few times a run."""
         self.holders = {name: self.holder(name) for name in self._items}
         self._summary = " ".join(f"{name}={arm or ''}" for name, arm in self.holders.items())
-
-
-def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """The same entries as a slice where they follow one another."""
-    first, count = int(indices[0]), len(indices)
-    return slice(first, first + count) if (np.diff(indices) == 1).all() else indices
-
-
-def _tool_pose(
-    data: mujoco.MjData, arm: ArmAddresses
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    wxyz = np.empty(4)
-    mujoco.mju_mat2Quat(wxyz, data.site_xmat[arm.tool_site])
-    return data.site_xpos[arm.tool_site], wxyz

@@ -17,7 +17,7 @@ from workcell.guard.geometry import HOUSING_GROUP
 from workcell.guard.settings import DEADLINE_S, CheckSettings, Exemption, Held
 from workcell.scenario import Exchange, Fetch, Meet
 from workcell.scene.cell import Cell
-from workcell.scene.contacts import hand_bodies
+from workcell.scene.contacts import hand_bodies, window_name
 
 MEETING_S = 60.0
 """How long two tools may be exempt from the final check if a job forgets to part them; chosen longer than any exchange."""
@@ -92,11 +92,11 @@ def _exemptions(cell: Cell, d_min_m: float) -> tuple[Exemption, ...]:
     for arm in cell.scenario.arm:
         for job in arm.job:
             if isinstance(job, (Meet, Exchange)):
-                name = f"{arm.name}_{job.arm}"
+                name = window_name(arm.name, job.arm)
                 mine, theirs = ((tools[a], *sorted(held[a])) for a in (arm.name, job.arm))
             elif isinstance(job, Fetch):
                 name, mine, theirs = (
-                    f"{arm.name}_{job.instrument}",
+                    window_name(arm.name, job.instrument),
                     (tools[arm.name],),
                     (job.instrument,),
                 )

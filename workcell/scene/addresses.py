@@ -31,6 +31,8 @@ class ArmAddresses:
     """Addresses and limits of one arm in the compiled scene; n is its number of joints."""
 
     name: str
+    support: bool
+    """Its role, decided here: jobs drive a support arm, which is slowed down and gives way; an operator drives a priority arm."""
     priority: int
     joints: tuple[str, ...]
     dofs: NDArray[np.intp]
@@ -158,6 +160,7 @@ def _resolve(model: mujoco.MjModel, arm: Arm) -> ArmAddresses:
     elbow = None if arm.elbow_site is None else model.site(prefix + arm.elbow_site).id
     return ArmAddresses(
         name=arm.name,
+        support=bool(arm.job),
         priority=arm.priority,
         joints=names,
         dofs=dofs,

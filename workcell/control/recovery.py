@@ -1,23 +1,19 @@
-"""What a support arm does when slowing down is not enough: the rungs, and when each is entered and left.
+"""The recovery state machine: when a support arm yields, and what it tries against an impasse.
 
-    run       nothing limits the arm
-    scale     the pairwise rule slows it down             (factor below 1)
-    yield     another arm's own motion brings a pair below t_min even if this arm stands:
-              back up along the path, else move so that the near pairs open
+    yield     another arm's own motion brings a pair below t_min even if this arm stands
               (entered at once, left YIELD_LINGER_S after the last such tick)
-    impasse   the path's clock has stood for IMPASSE_S in all, giving way aside, since it was last ahead of
+    impasse   the path's clock has stood for IMPASSE_S in all, yielding aside, since it was last ahead of
               where it had been: attempts in turn to get past (self-motion with the path stopped, free the
               tool's rotation, push the elbow to either side, back off, come in from another side), each
               for ATTEMPT_S or until the path goes on
     hold      every attempt is used up: stand and wait; motion resumes when the way is free
-    halt      d <= d_min, or the final check's verdict
 
-The ladder looks at numbers only and keeps no geometry; the controller turns its answer into motion.
+The machine looks at numbers only and keeps no geometry; the strategy turns its state into motion.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 YIELD_LINGER_S = 0.2
 """How long a yielding arm keeps out of the way after the need has passed; chosen so that a hand that
@@ -36,9 +32,8 @@ PAUSED_SHARE = 0.5
 ATTEMPTS = ("self_motion", "free_rotation", "elbow_left", "elbow_right", "back_off", "re_enter")
 
 
-@dataclass(frozen=True)
-class Rung:
-    """The ladder's answer for a tick."""
+class RecoveryState(NamedTuple):
+    """The machine's state in a tick."""
 
     yielding: bool
     """Whether the arm gives way now."""
@@ -50,12 +45,12 @@ class Rung:
     """Whether an impasse has been reported and not resolved."""
 
 
-class Ladder:
-    """The state of one support arm.
+class Recovery:
+    """The machine of one support arm.
 
     Args:
         period_s: Control period.
-        yields: Whether the yield rung is used at all.
+        yields: Whether the arm yields at all.
         resolves: Whether impasses are resolved.
     """
 
@@ -80,24 +75,24 @@ class Ladder:
         self._before_s += self._clock_s
         self._clock_s = 0.0
 
-    def climb(
-        self, *, pressed: bool, clock_s: float, moving: bool, out_of_reach: bool = False
-    ) -> Rung:
-        """Decide the rung.
+    def advance(
+        self, *, must_yield: bool, clock_s: float, moving: bool, out_of_reach: bool = False
+    ) -> RecoveryState:
+        """One tick.
 
         Args:
-            pressed: Another arm's own motion brings a pair below t_min even if this arm stands.
+            must_yield: Another arm's own motion brings a pair below t_min even if this arm stands.
             clock_s: The path's clock.
             moving: Whether the job wants motion at all (a waiting arm is never at an impasse).
             out_of_reach: The tool stays off its path though no pair holds it: self-motion is no way out.
         """
-        self._linger_s = YIELD_LINGER_S if pressed else max(0.0, self._linger_s - self._period_s)
+        self._linger_s = YIELD_LINGER_S if must_yield else max(0.0, self._linger_s - self._period_s)
         yielding = self._yields and self._linger_s > 0.0
         stands = clock_s - self._clock_s < STANDSTILL_FACTOR * self._period_s
         self._clock_s = clock_s
         if not moving or not self._resolves:
             self._stuck_s = 0.0
-            return Rung(yielding, "", False, False)
+            return RecoveryState(yielding, "", False, False)
         ahead_s = self._before_s + clock_s - self._farthest_s
         if self._attempt < 0:
             if not stands and ahead_s > 0.0:
@@ -121,4 +116,4 @@ class Ladder:
             and attempt not in ("back_off", "re_enter")
             and self._attempt_s < PAUSED_SHARE * ATTEMPT_S
         )
-        return Rung(yielding, attempt, paused, self._attempt >= 0)
+        return RecoveryState(yielding, attempt, paused, self._attempt >= 0)

@@ -1,4 +1,4 @@
-"""Who answers for which pair, and which pairs a job brings together; anew whenever an instrument changes hands."""
+"""Which arm answers for which watched pair; anew whenever an instrument changes hands."""
 
 from __future__ import annotations
 
@@ -9,17 +9,23 @@ from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
 from workcell.control.grasp import Grasps
-from workcell.control.share import ArmPairs
-from workcell.motion.jobs import Meeting
+from workcell.control.share import ArmPairs, Watched
 from workcell.scene.cell import Cell
 
 
-def silent_pairs(cell: Cell, grasps: Grasps) -> NDArray[np.bool_]:
+def assign(cell: Cell, grasps: Grasps, watched: Watched, arms: Sequence[ControlledArm]) -> None:
+    """Give each arm its part of the pairs, as the instruments are held now."""
+    watched.silent[...] = inactive_pairs(cell, grasps)
+    for arm, pairs in zip(arms, assigned(cell, grasps), strict=True):
+        arm.share = watched.share(arm.ik, arm.configuration, pairs, support=arm.support)
+
+
+def inactive_pairs(cell: Cell, grasps: Grasps) -> NDArray[np.bool_]:
     """(P,) pairs that no arm's motion changes, or that do not count now: an instrument against the hand that holds it."""
     return np.array([not grasps.parties(k) for k in range(len(cell.pairs))], dtype=bool)
 
 
-def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> list[ArmPairs]:
+def assigned(cell: Cell, grasps: Grasps) -> list[ArmPairs]:
     """Which pairs concern each arm, in the order of the arms.
 
     Every pair that a support arm can hold by slowing down is answered for by exactly one arm.
@@ -27,10 +33,7 @@ def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> lis
     number, of equals the later in the scenario; near a base it is the arm that comes, if a
     support arm does.
     """
-    rank = {
-        arm.addresses.name: (arm.support, arm.addresses.priority, index)
-        for index, arm in enumerate(arms)
-    }
+    rank = {arm.name: (arm.support, arm.priority, index) for index, arm in enumerate(cell.arms)}
     parties = [grasps.parties(k) for k in range(len(cell.pairs))]
     holders = [
         [name for name in names if rank[name][0] and grasps.can_move(k, name)] or names
@@ -38,8 +41,8 @@ def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> lis
     ]
     owners = cell.pairs.owners
     dealt = []
-    for arm in arms:
-        name = arm.addresses.name
+    for arm in cell.arms:
+        name = arm.name
         mine = [k for k, names in enumerate(parties) if name in names]
         owned = [k for k in mine if arm.support and name == max(holders[k], key=rank.__getitem__)]
         dealt.append(
@@ -53,25 +56,35 @@ def shared_out(cell: Cell, grasps: Grasps, arms: Sequence[ControlledArm]) -> lis
     return dealt
 
 
-def meeting_pairs(
-    cell: Cell, grasps: Grasps, arm: ControlledArm, meeting: Meeting | None
-) -> NDArray[np.intp]:
+def meeting_pairs(cell: Cell, grasps: Grasps, arm: ControlledArm) -> NDArray[np.intp]:
     """Pairs that an arm's present job brings together, or that it leaves after having done so.
 
-    One geom is of the arm's hand and the other of what it is to meet.
+    One geom is of the arm's hand and the other of what it is to meet. Looked up when the job or a
+    holder changes.
     """
-    if meeting is None:
-        return np.array([], dtype=np.intp)
-    moved = next((item.geom for item in cell.instruments if item.name == meeting.instrument), None)
+    meeting = None if arm.jobs is None else arm.jobs.meeting
+    key = meeting, grasps.summary()
+    if arm.meeting_key != key:
+        arm.meeting_key = key
+        arm.meeting_pairs = (
+            np.array([], dtype=np.intp)
+            if meeting is None
+            else _brought_together(cell, grasps, arm, meeting.arm, meeting.instrument)
+        )
+    return arm.meeting_pairs
+
+
+def _brought_together(
+    cell: Cell, grasps: Grasps, arm: ControlledArm, partner: str | None, instrument: str | None
+) -> NDArray[np.intp]:
+    moved = next((item.geom for item in cell.instruments if item.name == instrument), None)
 
     def meets(g: int, h: int) -> bool:
         if moved is not None and moved not in (g, h):
             return False  # a hand-over is complete when the instrument is there, not when the hands are
         return any(
-            grasps.part_of_hand(mine, arm.addresses.name)
-            and (
-                theirs == moved if meeting.arm is None else grasps.part_of_hand(theirs, meeting.arm)
-            )
+            grasps.part_of_hand(mine, arm.name)
+            and (theirs == moved if partner is None else grasps.part_of_hand(theirs, partner))
             for mine, theirs in ((g, h), (h, g))
         )
 

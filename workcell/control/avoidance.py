@@ -1,0 +1,125 @@
+"""Avoidance: what a support arm does where slowing down along its path is not enough.
+
+    keep       leave the path where the joints cannot slow down as fast as the times to collision ask
+    slide      get away from what was met, past what is near
+    give_way   yield to another arm: back along the path if that is enough, else so that the near pairs open
+
+Each looks for the velocity nearest to a preferred one that gives every pair the rate it needs
+(docs/theory.md section 5), within the joint limits.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.share import TASK_SLACK_M_S
+from workcell.control.strategy import ArmView
+from workcell.guard.halt import brake
+
+Array = NDArray[np.float64]
+
+
+class Avoidance(NamedTuple):
+    """A velocity, and what it means for the path."""
+
+    velocity_rad_s: Array
+    """(n,)"""
+    factor: float
+    """The share of the nominal velocity that it has; negative where the path is gone back."""
+    forced: bool
+    """Whether a time falls short all the same, for nothing but what the others do."""
+    solved: bool = True
+    """False where the solver failed and the arm brakes."""
+    left_path: bool = True
+    """Whether it is not along the nominal velocity."""
+
+
+def keep(view: ArmView, nominal_rad_s: Array, factor: float, infeasible: bool) -> Avoidance:
+    """Leave the path where the joints cannot slow down along it as fast as the times to collision ask.
+
+    One joint that already brakes as hard as it can keeps the factor up for all; the others can
+    still do more. The tool comes back to its path by its own correction. A pair that
+    standing does not keep is for giving way to; here it may only not be closed. So, too, where the
+    joints cannot follow any factor: the command is what they can reach.
+
+    Args:
+        view: The arm.
+        nominal_rad_s: (n,)
+        factor: That has been granted of it.
+        infeasible: Whether the joints can follow no factor.
+    """
+    velocity = factor * nominal_rad_s
+    found = Avoidance(velocity, factor, False, left_path=False)
+    if not infeasible and view.keeps(velocity):
+        return found
+    keeping = view.kept(velocity)
+    if infeasible or keeping.needs_more.any():
+        found = _leave_path(view, nominal_rad_s, velocity, keeping.rows, keeping.needed_m_s)
+        keeping = view.kept(found.velocity_rad_s)
+    if not keeping.short.any():
+        view.remember_kept()
+        return found
+    return found._replace(forced=bool(keeping.others_alone[keeping.short].all()))
+
+
+def slide(view: ArmView, nominal_rad_s: Array) -> Avoidance:
+    """Get away from what was met: the motion nearest to the way back that closes no pair that is too near.
+
+    Slowing down would not do: what is drawn out of a hand passes close by its fingers.
+    """
+    standing = view.kept(np.zeros_like(nominal_rad_s))
+    found = _leave_path(view, nominal_rad_s, nominal_rad_s, standing.rows, standing.needed_m_s)
+    return found._replace(forced=bool(standing.allowance_m_s.min() < -TASK_SLACK_M_S))
+
+
+def give_way(view: ArmView, nominal_rad_s: Array) -> Avoidance:
+    """Yield: back along the path if that is enough, else so that the near pairs open.
+
+    Times count to d_min here, so that an arm that can move fast enough is never nearer. No pair
+    is brought below t_min to open another, unless the joint limits leave no other way.
+    """
+    settings, moved = view.settings, view.moved
+    rows = view.rows(moved)
+    movable = rows.any(axis=1)  # what its own base comes near to is not in its power
+    rows, pairs = rows[movable], moved[movable]
+    gap = view.distance_m[pairs] - settings.d_min_m
+    needed = -gap / settings.t_min_s - view.other_m_s[pairs]
+    back = _backing_factor(rows @ nominal_rad_s, needed)
+    preferred = np.zeros_like(nominal_rad_s) if back is None else back * nominal_rad_s
+    velocity = view.evade(preferred, rows, needed)
+    if velocity is None:
+        return Avoidance(_braking(view), back or 0.0, True, False)
+    return Avoidance(velocity, back or 0.0, True)
+
+
+def _leave_path(
+    view: ArmView, nominal_rad_s: Array, preferred_rad_s: Array, rows: Array, needed_m_s: Array
+) -> Avoidance:
+    """What is nearest to a preferred velocity (n,) among what gives each row (R, n) its needed rate (R,)."""
+    velocity, solved = view.evade(preferred_rad_s, rows, needed_m_s), True
+    if velocity is None:
+        velocity, solved = _braking(view), False
+    along = float(velocity @ nominal_rad_s) / max(float(nominal_rad_s @ nominal_rad_s), 1e-12)
+    return Avoidance(velocity, min(1.0, max(0.0, along)), False, solved)
+
+
+def _braking(view: ArmView) -> Array:
+    return brake(view.command_rad_s, view.limits.acceleration_limit_rad_s2, view.period_s)
+
+
+def _backing_factor(own_m_s: Array, needed_m_s: Array) -> float | None:
+    """The mildest factor in [-1, 0] that gives every pair the rate it needs; None if there is none.
+
+    Args:
+        own_m_s: (R,) rates at factor 1.
+        needed_m_s: (R,) smallest rate of each pair.
+    """
+    closing, opening = own_m_s < 0.0, own_m_s > 0.0
+    if (needed_m_s[~closing & ~opening] > 0.0).any():
+        return None
+    highest = np.min(needed_m_s[closing] / own_m_s[closing], initial=0.0)
+    lowest = np.max(needed_m_s[opening] / own_m_s[opening], initial=-1.0)
+    return float(highest) if lowest <= highest else None

@@ -1,0 +1,30 @@
+"""What others may count on an arm to do: velocity hypotheses, from which rates are predicted."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.arm import ControlledArm
+from workcell.control.share import Watched
+from workcell.control.tick import ArmSetpoint
+
+
+def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None:
+    """Before any arm is steered.
+
+    A support arm is taken to go on as last commanded. A priority arm may do what its operator asks, go
+    on as last commanded, or do what its joint limits let through of what is asked: it may be kept from
+    doing at once what it is asked. No self-motion that helps others is counted on.
+    """
+    hypotheses, command = watched.ways_rad_s, arm.memory.command_rad_s
+    if arm.support:
+        hypotheses[:, arm.columns] = command
+        return
+    hypotheses[0, arm.columns], hypotheses[1, arm.columns] = setpoint.task_rad_s, command
+    hypotheses[2, arm.columns] = arm.ik.followed(arm.configuration, command, setpoint.task_rad_s)
+
+
+def settle(watched: Watched, arm: ControlledArm, command_rad_s: NDArray[np.float64]) -> None:
+    """Once an arm has its command, (n,), the arms after it count on that."""
+    watched.ways_rad_s[:, arm.columns] = command_rad_s

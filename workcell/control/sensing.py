@@ -1,0 +1,124 @@
+"""Sensing stage: a measured state -> the controller's belief, the watched pairs and their rates.
+
+The belief is the controller's own copy of the scene. It shares nothing with the plant: only the measured
+positions and velocities come in.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.arm import ControlledArm
+from workcell.control.compiled import CompiledWatched
+from workcell.control.finite import require_finite
+from workcell.control.grasp import Grasps
+from workcell.control.kernels.library import kernels
+from workcell.control.proximity import PairGeometry
+from workcell.control.second_order import second_order
+from workcell.control.share import Watched
+from workcell.control.tick import ArmSensed, Sensed
+from workcell.scenario import Control
+from workcell.scene.cell import Cell
+
+_SITE = mujoco.mjtObj.mjOBJ_SITE
+
+
+class Sensing:
+    """The belief of one controller, and what it says of the watched pairs.
+
+    Args:
+        cell: The compiled cell.
+    """
+
+    def __init__(self, cell: Cell):
+        self._model = cell.model
+        self._period_s = cell.period_s
+        self.belief = mink.Configuration(cell.model)
+        cell.place_home(self.belief.data)
+        self.belief.update()
+        data = self.belief.data
+        # MuJoCo's arrays never move; asking for them anew each tick takes as long as using them.
+        self._site_xpos, self._site_xmat = data.site_xpos, data.site_xmat
+        self._twist = np.empty(6)
+        self._still = np.zeros(cell.model.nv)
+        self._geometry = PairGeometry(
+            cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
+        )
+        self.grasps = Grasps(cell)
+        self.watched = _watched(cell)
+
+    def measure(
+        self,
+        tick: int,
+        qpos: NDArray[np.float64],
+        qvel: NDArray[np.float64],
+        settings: Control,
+    ) -> Sensed:
+        """Take a measured state: (nq,) positions and (nv,) velocities, which are kept.
+
+        Raises:
+            ControlFault: a number is not finite.
+        """
+        require_finite(tick, qpos, "qpos, the measured joint positions")
+        require_finite(tick, qvel, "qvel, the measured joint velocities")
+        belief, watched = self.belief, self.watched
+        belief.data.qvel[:] = qvel
+        belief.update(qpos)
+        mujoco.mj_comVel(self._model, belief.data)
+        mujoco.mj_sensorPos(self._model, belief.data)
+        proximity = self._geometry.measure(belief.data, kept=True)
+        watched.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
+        watched.accel_m_s2 = None
+        if settings.order == 2:
+            # Joint accelerations count as zero: nobody knows what a person will do.
+            watched.accel_m_s2 = second_order(
+                self._geometry, belief.data, proximity, self._still
+            ).accel_m_s2
+        rates = watched.rates(qvel, watched.accel_m_s2)
+        watched.rate_m_s[...] = rates.rate_m_s
+        first = rates.first
+        shown = first.pair if first.pair >= 0 else rates.nearest
+        return Sensed(
+            tick=tick,
+            time_s=tick * self._period_s,
+            qpos=qpos,
+            qvel=qvel,
+            settings=settings,
+            distance_m=watched.distance_m.copy(),
+            rate_m_s=rates.rate_m_s,
+            nearest_pair=rates.nearest,
+            ttc_s=first.ttc_s if math.isfinite(first.ttc_s) else None,
+            ttc_pair=None if first.pair < 0 else first.pair,
+            witness_i_m=None if shown is None else proximity.surface_i_m[shown].copy(),
+            witness_j_m=None if shown is None else proximity.surface_j_m[shown].copy(),
+        )
+
+    def look_at(self, arm: ControlledArm, settings: Control) -> ArmSensed:
+        """Where an arm's tool is, and how near its surroundings are on average."""
+        addresses, wxyz = arm.addresses, np.empty(4)
+        site = addresses.tool_site
+        mujoco.mj_objectVelocity(self._model, self.belief.data, _SITE, site, self._twist, 0)
+        mujoco.mju_mat2Quat(wxyz, self._site_xmat[site])
+        artc, armd = arm.share.surroundings(approaching=settings.criterion == "artc_approaching")
+        elbow = addresses.elbow_site
+        return ArmSensed(
+            tool_position_m=self._site_xpos[site].copy(),
+            tool_wxyz=wxyz,
+            tool_speed_m_s=math.hypot(*self._twist[3:].tolist()),
+            elbow_position_m=None if elbow is None else self._site_xpos[elbow].copy(),
+            artc_per_s=artc,
+            armd_per_m=armd,
+        )
+
+
+def _watched(cell: Cell) -> Watched:
+    """Of a cell's pairs, in compiled code where there is any."""
+    found, dofs = kernels(), [arm.dofs for arm in cell.arms]
+    if found is None or not len(cell.pairs):
+        return Watched(len(cell.pairs), dofs, cell.model.nv)
+    return CompiledWatched(found, len(cell.pairs), dofs, cell.model.nv)

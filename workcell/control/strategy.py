@@ -1,0 +1,223 @@
+"""The interface of a strategy: what it may know of an arm in a tick, and what it answers.
+
+A strategy steers one arm. Once a tick it is given an `ArmView` and answers with a `Steering`; what it
+has to remember is its own. Its velocity passes the gate before it becomes a command, whatever the
+strategy is. Support arms are steered first, by priority, then the priority arms, so that each knows
+what those before it were commanded.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import mink
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.control.criteria import NullspaceObjective
+from workcell.control.ik import IkSolution
+from workcell.control.share import Allowance, Keeping
+from workcell.control.tick import ArmSensed, ArmSetpoint, Sensed, Steering
+from workcell.errors import ControlFault
+from workcell.scenario import Control
+from workcell.scene.addresses import ArmAddresses
+
+if TYPE_CHECKING:
+    from workcell.control.arm import ControlledArm
+    from workcell.motion.jobs import JobSequence
+
+Array = NDArray[np.float64]
+
+
+class Strategy(Protocol):
+    """What steers an arm. One object an arm, so that it may remember what it likes."""
+
+    def steer(self, view: ArmView) -> Steering:
+        """Answer for this tick."""
+        ...
+
+
+class ArmView:
+    """One arm in one tick, for reading. n joints, R pairs that the arm answers for, M that it moves.
+
+    Arrays are the controller's own and good until the tick is over; a strategy must not write to them.
+
+    Args:
+        arm: The arm.
+        sensed: What was measured of the cell.
+        seen: What was measured of the arm.
+        setpoint: What is asked of it.
+    """
+
+    __slots__ = ("_arm", "_counted", "_share", "seen", "sensed", "setpoint", "settings")
+
+    def __init__(self, arm: ControlledArm, sensed: Sensed, seen: ArmSensed, setpoint: ArmSetpoint):
+        self._arm = arm
+        self._share = arm.share
+        self._counted = False
+        self.sensed = sensed
+        self.seen = seen
+        self.setpoint = setpoint
+        self.settings: Control = sensed.settings
+        """The parameters in force."""
+
+    # ---------------------------------------------------------------- the arm and its limits
+
+    @property
+    def limits(self) -> ArmAddresses:
+        """Addresses and joint limits."""
+        return self._arm.addresses
+
+    @property
+    def period_s(self) -> float:
+        """Control period."""
+        return self._arm.ik.dt_s
+
+    @property
+    def q_rad(self) -> Array:
+        """(n,) measured joint positions."""
+        return self.sensed.qpos[self._arm.addresses.qpos]
+
+    @property
+    def dofs(self) -> NDArray[np.intp]:
+        """(n,) where its joints are in a joint velocity of the whole cell."""
+        return self._arm.dofs
+
+    @property
+    def command_rad_s(self) -> Array:
+        """(n,) last command."""
+        return self._arm.memory.command_rad_s
+
+    @property
+    def nominal_rad_s(self) -> Array:
+        """(n,) last nominal velocity, or the last command where a new path has begun."""
+        return self._arm.memory.nominal_rad_s
+
+    @property
+    def last(self) -> Steering:
+        """What was answered in the tick before."""
+        return self._arm.memory.answer
+
+    def box(self, previous_rad_s: Array) -> tuple[Array, Array]:
+        """(n,) smallest and largest joint velocity after a previous one (n,): stops, speed and acceleration."""
+        self._arm.ik.limit.previous_rad_s = previous_rad_s
+        return self._arm.ik.limit.bounds(self.q_rad, self.period_s)
+
+    # ---------------------------------------------------------------- the tool's task
+
+    @property
+    def configuration(self) -> mink.Configuration:
+        """The controller's belief, for kinematics that are not here."""
+        return self._arm.configuration
+
+    @property
+    def tool_jacobian(self) -> Array:
+        """(6, n) linear, then angular velocity of the tool in its own frame for each joint's."""
+        return self._arm.configuration.get_frame_jacobian(self.limits.tool_site_name, "site")[
+            :, self._arm.dofs
+        ]
+
+    @property
+    def task_rad_s(self) -> Array:
+        """(n,) the smallest joint velocity that does what the target asks, limits aside."""
+        return self.setpoint.task_rad_s
+
+    @property
+    def path_rad_s(self) -> Array:
+        """(n,) the part of it that the target's own motion asks for, corrections of the tool error aside."""
+        return self._arm.ik.path_rad_s
+
+    @property
+    def jobs(self) -> JobSequence | None:
+        """The jobs of a support arm, for reading: progress, whether it moves, retreats, has arrived."""
+        return self._arm.jobs
+
+    # ---------------------------------------------------------------- the watched pairs
+
+    @property
+    def moved(self) -> NDArray[np.intp]:
+        """(M,) pairs that its motion changes."""
+        return self._share.pairs.moved
+
+    @property
+    def owned(self) -> NDArray[np.intp]:
+        """(R,) pairs that it answers for by slowing down."""
+        return self._share.pairs.owned
+
+    @property
+    def meeting(self) -> NDArray[np.intp]:
+        """Pairs that its present job brings together."""
+        return self._arm.meeting_pairs
+
+    @property
+    def distance_m(self) -> Array:
+        """(P,) of all watched pairs."""
+        return self.sensed.distance_m
+
+    def rows(self, pairs: NDArray[np.intp]) -> Array:
+        """(K, n) rows of G, the distances' derivatives by its joints, of some pairs."""
+        return self._share.rows(pairs)
+
+    @property
+    def other_m_s(self) -> Array:
+        """(P,) the rates that others are predicted to cause, of the pairs it moves; the least favourable of their ways."""
+        if not self._counted:
+            static = self._arm.support and self.settings.variant == "static"
+            self._share.count_on_others(static=static)
+            self._counted = True
+        return self._share.other_m_s
+
+    # ---------------------------------------------------------------- helpers
+
+    def solve(self, push: NullspaceObjective | None = None) -> IkSolution:
+        """The nominal velocity: the tool's task, the criterion, and no self-motion that brings a pair below t_min.
+
+        Args:
+            push: What the null space is to do instead of the criterion.
+
+        Raises:
+            ControlFault: a number is not finite.
+        """
+        try:
+            found = self._share.solve(
+                self.nominal_rad_s, self.task_rad_s, self.sensed.qvel, self.settings, push
+            )
+        except FloatingPointError as error:
+            raise ControlFault(self.sensed.tick, str(error)) from error
+        self._counted = True
+        return found
+
+    def evade(self, preferred_rad_s: Array, rows: Array, needed_m_s: Array) -> Array | None:
+        """(n,) the velocity nearest to a preferred one (n,) that gives each row (K, n) its needed rate (K,).
+
+        Rows are missed, as little as possible, where the joint limits leave no other way. None if the
+        solver failed.
+        """
+        return self._arm.ik.evade(
+            self._arm.configuration, self.command_rad_s, preferred_rad_s, rows, needed_m_s
+        )
+
+    def allowance(self, velocity_rad_s: Array) -> Allowance:
+        """What the pairs and the joints leave of a velocity (n,)."""
+        return self._share.allow(velocity_rad_s, self.command_rad_s, self.period_s, self.settings)
+
+    def is_free(self, velocity_rad_s: Array) -> bool:
+        """Whether no pair would limit the arm at this velocity (n,)."""
+        return self._share.is_free(velocity_rad_s, self.settings)
+
+    def keeps(self, velocity_rad_s: Array) -> bool:
+        """Whether a velocity (n,) leaves every pair its time to collision; remembered if so."""
+        return self._share.keeps(velocity_rad_s, self.settings)
+
+    def kept(self, velocity_rad_s: Array) -> Keeping:
+        """How far a velocity (n,) keeps the times to collision, pair by pair."""
+        return self._share.kept(velocity_rad_s, self.settings)
+
+    def remember_kept(self) -> None:
+        """Take what the others do now as what was last kept."""
+        self._share.remember()
+
+    @property
+    def criterion_gain(self) -> float:
+        """Weight of the null-space criterion against ½|q̇|²."""
+        return self._arm.ik.criterion.gain
