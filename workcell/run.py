@@ -32,8 +32,9 @@ from workcell.scene.compose import SCENE_FILE
 from workcell.simulation.plant import Plant
 from workcell.trace import metrics
 from workcell.trace.expectations import judge
-from workcell.trace.preflight import check_space, check_writable
-from workcell.trace.table import Trace, load
+from workcell.trace.preflight import check_space, check_writable, remove_earlier
+from workcell.trace.stored import INDEX_NAME
+from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, Trace, load
 from workcell.trace.writer import FLUSH_S, TraceWriter
 
 SCENARIO_FILE = "scenario.toml"
@@ -41,6 +42,14 @@ SUMMARY_FILE = "summary.json"
 ORIGIN_FILE = "origin.json"
 RECORDING_FILE = "recording.rrd"
 SCENE_FOLDER = "scene"
+FIGURES_FOLDER = "figures"
+REPORT_FILE = "report.html"
+OUTPUTS = (
+    TRACE_NAME, JOURNAL_NAME, INDEX_NAME, SUMMARY_FILE, ORIGIN_FILE, RECORDING_FILE, SCENARIO_FILE,
+    SCENE_FOLDER, FIGURES_FOLDER, REPORT_FILE, "film.mp4", "film.gif", "film.webp",
+    "comparison.txt", "comparison.png", "comparison.rrd",
+)  # fmt: skip
+"""All that a run and the commands after it write into a run folder."""
 CHECK_STOP = "stopped_by_check"
 """Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
 
@@ -66,7 +75,7 @@ def run(
 
     Args:
         scenario: What to run.
-        out: Run folder; made if missing, its earlier contents replaced file by file.
+        out: Run folder; made if missing; what an earlier run left in it is removed first.
         progress: Called with (ticks done, ticks of a full run) now and then.
 
     Returns:
@@ -76,13 +85,23 @@ def run(
         InputError: the scenario cannot be run as it is, or another simulation of this process is under way.
     """
     _refuse_live(scenario)
-    check_writable(out)
+    begin(out)
     cell = prepare(scenario, out / SCENE_FOLDER)
     check_space(out, layout(cell), scenario.ticks)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     (out / ORIGIN_FILE).write_text(json.dumps(origin(cell), indent=2) + "\n", encoding="utf-8")
     ending = simulate(cell, out, progress=progress)
     return conclude(cell, out, ending)
+
+
+def begin(out: Path) -> None:
+    """Make the run folder and empty it of what an earlier run left there.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    check_writable(out)
+    remove_earlier(out, OUTPUTS)
 
 
 def _refuse_live(scenario: Scenario) -> None:

@@ -225,3 +225,15 @@ def test_what_does_not_decay_has_no_time_constant():
     time_s = np.linspace(0, 1, 10)
     assert decay_time_s(time_s, 1 + time_s) is None
     assert decay_time_s(time_s, np.zeros(10)) is None
+
+
+def test_a_step_is_not_sought_across_missing_rows(run):
+    """Salvaged rows may have a gap, and the speeds on its two sides are no step of a joint."""
+    whole = run.trace.table
+    trace = dataclasses.replace(
+        run.trace, rows=pa.concat_tables([whole.slice(0, 100), whole.slice(700, 100)])
+    )
+    assert period_s(trace) == pytest.approx(period_s(run.trace), rel=1e-12)
+    command = trace["command_rad_s"]
+    assert np.abs(np.diff(command, axis=0)).max() / period_s(trace) > 100
+    assert summarise(trace)["nurse.peak_joint_acceleration_rad_s2"] < 1.0

@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from workcell.errors import TraceError
 from workcell.trace.journal import JournalReader, JournalWriter
 from workcell.trace.salvage import salvage
-from workcell.trace.stored import INTEGRITY_KEY, convert
+from workcell.trace.stored import INDEX_NAME, INTEGRITY_KEY, convert
 from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, load
 from workcell.view import recording as view
 
@@ -66,22 +67,31 @@ def test_rows_around_a_damaged_row_group_survive(damaged, run):
     assert load(saved.trace).table.equals(kept)
 
 
-def test_batches_before_a_flipped_bit_survive(damaged, run):
+def test_batches_around_a_flipped_bit_survive(damaged, run):
     (damaged / TRACE_NAME).unlink()
     path = damaged / JOURNAL_NAME
     flip(path, path.stat().st_size // 2)
     with pytest.raises(TraceError):
         load(damaged)
     saved = save(damaged)
-    assert "what comes after it is lost" in saved.losses[0]
-    assert saved.rows % BATCH == 0
-    assert abs(saved.rows - len(run.trace) / 2) < 2 * BATCH
-    assert load(saved.trace).table.equals(run.trace.table.slice(0, saved.rows))
+    assert "hold no intact batch" in saved.losses[0]
+    assert saved.rows == len(run.trace) - BATCH
+    assert load(saved.trace)["tick"][-1] == len(run.trace) - 1
+
+
+def test_the_journal_of_a_killed_run_ends_with_its_last_whole_batch(damaged, run):
+    (damaged / TRACE_NAME).unlink()
+    path = damaged / JOURNAL_NAME
+    path.write_bytes(path.read_bytes()[:-200])
+    saved = save(damaged)
+    assert "unfinished or damaged batch" in saved.losses[0]
+    assert saved.rows == len(run.trace) - BATCH
 
 
 def test_a_table_without_its_index_falls_back_to_the_journal(damaged, run):
     path = damaged / TRACE_NAME
     path.write_bytes(path.read_bytes()[:-9])
+    (damaged / INDEX_NAME).unlink()
     saved = save(damaged)
     assert "its index at the end cannot be read" in saved.losses[0]
     assert saved.rows == len(run.trace)
@@ -123,3 +133,42 @@ def test_a_trace_from_before_a_signal_is_read(damaged, run):
     assert (trace["ttc_s"][:5] == run.trace["ttc_s"][:5]).all()
     with pytest.raises(TraceError, match="from before column 'mode' was logged"):
         trace["mode"]
+
+
+def test_a_short_run_loses_a_chunk_to_a_flipped_bit_wherever_it_is(run, tmp_path):
+    """Seeded bits all over the file: rows, page headers, index and end."""
+    folder = tmp_path / "short"
+    folder.mkdir()
+    for name in (TRACE_NAME, INDEX_NAME):
+        shutil.copy(run.trace.source.with_name(name), folder / name)
+    path = folder / TRACE_NAME
+    whole = path.read_bytes()
+    with pq.ParquetFile(path) as file:
+        assert file.num_row_groups > 1
+    offsets = [
+        *np.random.default_rng(5).integers(0, len(whole), 10),
+        len(whole) - 7,
+        len(whole) - 60,
+    ]
+    for offset in offsets:
+        path.write_bytes(whole)
+        flip(path, int(offset))
+        saved = save(folder)
+        assert saved.rows >= len(run.trace) - 512, f"byte {offset} of {len(whole)}"
+        assert len(saved.losses) == 1
+
+
+def test_a_table_cut_short_keeps_the_groups_before_the_cut(run, tmp_path):
+    folder = tmp_path / "cut"
+    folder.mkdir()
+    for name in (TRACE_NAME, INDEX_NAME):
+        shutil.copy(run.trace.source.with_name(name), folder / name)
+    path = folder / TRACE_NAME
+    content = path.read_bytes()
+    path.write_bytes(content[: int(0.7 * len(content))])
+    saved = save(folder)
+    assert "the copy in trace.index is used" in saved.losses[0]
+    assert saved.rows in (512, 1024)
+    path.write_bytes(content)
+    flip(folder / INDEX_NAME, 40)
+    assert save(folder).losses == (), "a damaged copy is not believed"

@@ -165,12 +165,11 @@ def salvage(
         Path | None, tyro.conf.arg(metavar="DIR", help="new folder; default RUN/salvaged")
     ] = None,
 ) -> int:
-    """Save what is intact of a damaged run's trace and recording into a new folder. Exit status 1 if no row was left."""
-    from workcell.run import RECORDING_FILE
-    from workcell.trace.salvage import salvage as save
+    """Make a run folder of what is intact of a damaged one, for replay, plot and compare. Exit status 1 if no row was left."""
+    from workcell.regression.restore import restore
 
     folder = out or run / "salvaged"
-    saved = save(run, folder, recording_name=RECORDING_FILE)
+    saved = restore(run, folder)
     for loss in saved.losses:
         stdout.print(f"lost: {loss}", markup=False)
     stdout.print(f"{saved.rows} rows in {saved.trace or 'no trace'}", markup=False)

@@ -118,6 +118,7 @@ def teleop(
             "no arm has an operator of kind 'live'; set one: --set arm.NAME.operator.kind=live",
             file=scenario.file,
         )
+    runner.begin(out)
     cell = runner.prepare(scenario, out / runner.SCENE_FOLDER)
     (out / runner.SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     stream = Stream(cell) if rerun else None

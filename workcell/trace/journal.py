@@ -17,7 +17,8 @@ import pyarrow as pa
 from workcell.errors import TraceError
 
 _CRC_KEY = b"workcell_crc32"
-_END_OF_STREAM = b"\xff\xff\xff\xff\0\0\0\0"
+_MESSAGE_OPENING = b"\xff\xff\xff\xff"
+_END_OF_STREAM = _MESSAGE_OPENING + bytes(4)
 """What ends an Arrow stream that was closed; one that was cut off lacks it."""
 
 
@@ -139,6 +140,63 @@ class JournalReader:
             fault = f"{self.path}: the batch at byte {end} is damaged: {error}"
             raise TraceError(fault) from error
         self.torn_bytes = len(content) - end
+
+
+def intact_batches(path: Path, losses: list[str]) -> Iterator[pa.RecordBatch]:
+    """The batches of a damaged journal whose checksums hold, also those behind the damage.
+
+    Args:
+        path: The journal. Its first message, the schema, must be whole.
+        losses: Gets one sentence for every stretch of bytes that holds no intact batch.
+
+    Raises:
+        TraceError: The schema is damaged, and with it what every batch means.
+    """
+    content = path.read_bytes()
+    try:
+        source = pa.BufferReader(content)
+        schema = pa.ipc.open_stream(source).schema
+        source.seek(0)
+        pa.ipc.read_message(source)
+        offset = source.tell()
+    except (OSError, pa.ArrowException) as error:
+        raise TraceError(f"{path}: is not a journal of a trace: {error}") from error
+    opening, schema_crc = content[:offset], zlib.crc32(schema.serialize())
+    lost_from: int | None = None
+    while 0 <= offset < len(content) and content[offset:] != _END_OF_STREAM:
+        found = _batch_at(content, offset, opening, schema_crc)
+        if found is None:
+            lost_from = offset if lost_from is None else lost_from
+            offset = content.find(_MESSAGE_OPENING, offset + 1)
+            continue
+        batch, end = found
+        if lost_from is not None:
+            losses.append(f"{path}: bytes {lost_from} to {offset - 1} hold no intact batch")
+            lost_from = None
+        yield batch
+        offset = end
+    if lost_from is not None:
+        count = len(content) - lost_from
+        losses.append(f"{path}: its last {count} bytes are an unfinished or damaged batch")
+
+
+def _batch_at(
+    content: bytes, offset: int, opening: bytes, schema_crc: int
+) -> tuple[pa.RecordBatch, int] | None:
+    """The batch that begins at this byte and where it ends; None if none does whose checksum holds."""
+    rest = memoryview(content)[offset:]
+    try:
+        source = pa.BufferReader(rest)
+        pa.ipc.read_message(source)
+        end = source.tell()
+        with pa.ipc.open_stream(pa.BufferReader(opening + bytes(rest[:end]))) as stream:
+            batch, custom = stream.read_next_batch_with_custom_metadata()
+        batch.validate(full=True)
+    except (OSError, EOFError, StopIteration, pa.ArrowException):
+        return None
+    if (custom or {}).get(_CRC_KEY) != _checksum(batch, schema_crc):
+        return None
+    return batch, offset + end
 
 
 def _checksum(batch: pa.RecordBatch, schema_crc: int) -> bytes:

@@ -218,8 +218,8 @@ def _arm(trace: Trace, arm: str) -> dict[str, Metric]:
         "max_tool_error_rad": float(trace[f"{arm}.tool_error_rad"].max()),
         "elbow_travel_m": _elbow_travel_m(trace, arm),
         "impasse_attempts": _attempts(trace, arm),
-        "peak_joint_acceleration_rad_s2": _peak_derivative(command, dt_s, 1),
-        "peak_joint_jerk_rad_s3": _peak_derivative(command, dt_s, 2),
+        "peak_joint_acceleration_rad_s2": _peak_derivative(command, trace["tick"], dt_s, 1),
+        "peak_joint_jerk_rad_s3": _peak_derivative(command, trace["tick"], dt_s, 2),
         "speed_reversals": reversals(np.linalg.norm(command, axis=1)),
         "smallest_scale": float(scale.min()),
         "scaled_ticks": int(np.sum(scale < SCALED_BELOW)),
@@ -319,11 +319,15 @@ def _elbow_travel_m(trace: Trace, arm: str) -> float | None:
     return _finite(np.nanmax(np.linalg.norm(position - position[0], axis=1)))
 
 
-def _peak_derivative(command: Floats, dt_s: float, order: int) -> float | None:
-    """Largest difference quotient of the commanded joint velocities."""
+def _peak_derivative(
+    command: Floats, tick: NDArray[np.int64], dt_s: float, order: int
+) -> float | None:
+    """Largest difference quotient of the commanded joint velocities, over ticks without a gap."""
     if len(command) <= order or not command.shape[1]:
         return None
-    return float(np.abs(np.diff(command, order, axis=0)).max() / dt_s**order)
+    in_a_row = tick[order:] - tick[:-order] == order
+    quotient = np.abs(np.diff(command, order, axis=0))[in_a_row]
+    return float(quotient.max() / dt_s**order) if quotient.size else None
 
 
 def _reasons(trace: Trace, arm: str) -> dict[str, Metric]:

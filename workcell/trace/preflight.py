@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from workcell.errors import InputError
@@ -32,6 +33,31 @@ def check_writable(folder: Path) -> None:
             probe.write(b"\0" * 4096)
     except OSError as error:
         raise InputError(f"the run folder cannot be written to: {error}", file=folder) from error
+
+
+def remove_earlier(folder: Path, names: Sequence[str]) -> None:
+    """Remove what an earlier run left in a folder, before the new one writes its first file.
+
+    A run that is killed must not keep the summary of the run before it.
+
+    Args:
+        folder: The run folder.
+        names: Files and folders of a run, in it.
+
+    Raises:
+        InputError: One of them cannot be removed.
+    """
+    for name in names:
+        path = folder / name
+        try:
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"what an earlier run left cannot be removed: {error}", file=path
+            ) from error
 
 
 def check_space(folder: Path, layout: Layout, ticks: int) -> None:

@@ -48,9 +48,9 @@ def spans(mask: NDArray[np.bool_]) -> list[Span]:
 
 
 def period_s(trace: Trace) -> float:
-    """Length of a control tick; 0 for a trace of a single row."""
-    time_s = trace["time_s"]
-    return float((time_s[-1] - time_s[0]) / (len(time_s) - 1)) if len(time_s) > 1 else 0.0
+    """Length of a control tick; 0 for a trace of a single row. Rows may be missing (`workcell salvage`)."""
+    time_s, tick = trace["time_s"], trace["tick"]
+    return float((time_s[-1] - time_s[0]) / int(tick[-1] - tick[0])) if len(tick) > 1 else 0.0
 
 
 def control_setting(trace: Trace, key: str) -> float | None:

@@ -1,10 +1,10 @@
 """What is left of a damaged run: the rows and the recording's chunks that are still whole.
 
 In comes a run folder whose trace `load` refuses; out comes a new folder with a trace of the rows that
-their checksums vouch for, and an account of what was lost. Of a journal the batches before the damage
-are kept, of a parquet file its undamaged row groups; a parquet file cut off at its end has lost the
-index all rows are found by. A recording is repaired by rerun's own tool, which keeps what comes
-before the damage; where the trace could be read, a recording derived from it is better.
+their checksums vouch for, and an account of what was lost: of a journal its intact batches, of a
+parquet file its intact row groups. The index by which its rows are found has a copy beside it. A
+recording is repaired by rerun's own tool, which keeps what comes before the damage; where the trace
+could be read, a recording derived from it is better (`workcell.regression.restore`).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from workcell.errors import TraceError
-from workcell.trace.journal import JournalReader, JournalWriter
-from workcell.trace.stored import INTEGRITY_KEY, convert
+from workcell.trace.journal import JournalWriter, intact_batches
+from workcell.trace.stored import INDEX_NAME, INTEGRITY_KEY, convert, with_index_of
 from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, load
 
 _REPAIR_TIMEOUT_S = 120.0
@@ -96,18 +96,19 @@ def _save_rows(source: Path, out: Path) -> tuple[int, list[str]]:
 
 def _of_journal(path: Path, losses: list[str]) -> Iterator[pa.RecordBatch]:
     try:
-        reader = JournalReader(path)
-        yield from reader
+        yield from intact_batches(path, losses)
     except TraceError as error:
-        losses.append(f"{error}; what comes after it is lost")
-        return
-    if reader.torn_bytes:
-        losses.append(f"{path}: an unfinished last batch of {reader.torn_bytes} bytes")
+        losses.append(str(error))
 
 
 def _of_table(path: Path, losses: list[str]) -> Iterator[pa.RecordBatch]:
+    content = path.read_bytes()
+    indexed = with_index_of(path.with_name(INDEX_NAME), path)
+    if indexed is not None and indexed != content:
+        losses.append(f"{path}: its index is damaged or cut off; the copy in {INDEX_NAME} is used")
+        content = indexed
     try:
-        file = pq.ParquetFile(path, page_checksum_verification=True)
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
         # The schema is rebuilt from the file's, without the hash that covers the whole of it.
         entries = {
             k: v for k, v in (file.schema_arrow.metadata or {}).items() if k != INTEGRITY_KEY
@@ -129,6 +130,7 @@ def _of_table(path: Path, losses: list[str]) -> Iterator[pa.RecordBatch]:
                 yield from table.cast(schema).to_batches()
             first += count
     if not losses:
+        # Every group is whole, which leaves the metadata to explain why the file is refused.
         try:
             load(path)
         except TraceError as error:

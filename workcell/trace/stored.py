@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
+import zlib
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -29,6 +31,14 @@ INTEGRITY_KEY = b"integrity_sha256"
 _ROW_GROUP_ROWS = 8192
 """Rows a row group holds, and a block of a column: chosen so that a conversion needs some ten
 megabytes whatever the length of the run, while columns stay long enough to compress."""
+_FIRST_GROUP_ROWS = 512
+"""Rows of each group up to the first `_ROW_GROUP_ROWS`: damage costs a group, and a run of half a minute
+has no more rows than that."""
+
+INDEX_NAME = "trace.index"
+"""Copy of the parquet file's index: without one, a damaged byte in it would cost every row."""
+_PARQUET_END_BYTES = 8
+"""A parquet file ends with the length of its index and four letters."""
 
 _RECENT = 8
 """Columns of scalars that are kept, the time above all, which is asked for again and again; chosen for
@@ -138,19 +148,26 @@ def convert(journal: Path, target: Path) -> None:
     strings = [field.name for field in batches.schema if pa.types.is_string(field.type)]
     digest = TableDigest(batches.schema)
     try:
-        with pq.ParquetWriter(
-            temporary,
-            batches.schema,
-            compression="zstd",
-            use_dictionary=strings,  # pyright: ignore[reportArgumentType] (pyarrow takes a list)
-            column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
-            write_page_checksum=True,
-        ) as writer:
+        with (
+            pq.ParquetWriter(
+                temporary,
+                batches.schema,
+                compression="zstd",
+                use_dictionary=strings,
+                write_statistics=False,  # Nobody searches a trace by value, and the index is half as long.  # pyright: ignore[reportArgumentType] (pyarrow takes a list)
+                column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+                write_page_checksum=True,
+            ) as writer
+        ):
             for table in _regroup(batches):
                 writer.write_table(table)
                 for batch in table.to_batches():
                     digest.update(batch)
             writer.add_key_value_metadata({INTEGRITY_KEY: integrity(digest, batches.schema)})
+        index = target.with_name(INDEX_NAME)
+        index_part = index.with_name(index.name + ".part")
+        index_part.write_bytes(_index_copy(temporary))
+        os.replace(index_part, index)
         os.replace(temporary, target)
     except OSError as error:
         raise TraceError(f"{target}: cannot be written: {error}") from error
@@ -158,18 +175,45 @@ def convert(journal: Path, target: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def _index_copy(parquet: Path) -> bytes:
+    """Where a file's index begins, the bytes from there to its end, and a CRC-32 of both."""
+    with parquet.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(size - _PARQUET_END_BYTES)
+        (length,) = struct.unpack("<I", file.read(4))
+        start = size - _PARQUET_END_BYTES - length
+        file.seek(start)
+        content = struct.pack("<Q", start) + file.read()
+    return content + struct.pack("<I", zlib.crc32(content))
+
+
+def with_index_of(index: Path, parquet: Path) -> bytes | None:
+    """A parquet file with its index taken from the copy; None where the copy is missing or damaged.
+
+    Bytes that the file has lost at its end are filled with zeros, so that what lies before them is
+    found where the index says.
+    """
+    content = index.read_bytes() if index.is_file() else b""
+    if len(content) < 12 or struct.pack("<I", zlib.crc32(content[:-4])) != content[-4:]:
+        return None
+    (start,) = struct.unpack("<Q", content[:8])
+    return parquet.read_bytes()[:start].ljust(start, b"\0") + content[8:-4]
+
+
 def _regroup(batches: Iterator[pa.RecordBatch] | JournalReader) -> Iterator[pa.Table]:
-    """The same rows in tables of `_ROW_GROUP_ROWS`, whatever the batches were."""
+    """The same rows in tables of a row group, whatever the batches were."""
     waiting: list[pa.RecordBatch] = []
-    rows = 0
+    rows = done = 0
+    wanted = min(_FIRST_GROUP_ROWS, _ROW_GROUP_ROWS)
     for batch in batches:
         waiting.append(batch)
         rows += len(batch)
-        while rows >= _ROW_GROUP_ROWS:
+        while rows >= wanted:
             table = pa.Table.from_batches(waiting)
-            yield table.slice(0, _ROW_GROUP_ROWS).combine_chunks()
-            waiting = table.slice(_ROW_GROUP_ROWS).combine_chunks().to_batches()
-            rows -= _ROW_GROUP_ROWS
+            yield table.slice(0, wanted).combine_chunks()
+            waiting = table.slice(wanted).combine_chunks().to_batches()
+            rows, done = rows - wanted, done + wanted
+            wanted = _ROW_GROUP_ROWS if done >= _ROW_GROUP_ROWS else wanted
     if rows:
         yield pa.Table.from_batches(waiting).combine_chunks()
 

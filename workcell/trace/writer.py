@@ -21,7 +21,7 @@ import pyarrow as pa
 from workcell.errors import TraceError
 from workcell.signals import SCHEMA_VERSION, Column, Layout, columns
 from workcell.trace.journal import JournalWriter
-from workcell.trace.stored import convert
+from workcell.trace.stored import INDEX_NAME, convert
 from workcell.trace.table import JOURNAL_NAME, LAYOUT_KEYS, TRACE_NAME
 
 FLUSH_S = 0.5
@@ -80,7 +80,8 @@ class TraceWriter:
         self._take: Callable[[_Row], _Values] | None = None
 
         Path(folder).mkdir(parents=True, exist_ok=True)
-        self.path.unlink(missing_ok=True)
+        for earlier in (self.path, self.path.with_name(INDEX_NAME)):
+            earlier.unlink(missing_ok=True)
         self._rows_out = JournalWriter(self.journal, self._schema)
         self._flushed_at_s = time.monotonic() if flush_wall_s is not None else 0.0
         self._closed = False
