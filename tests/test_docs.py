@@ -29,7 +29,7 @@ TABLES: dict[str, type[BaseModel]] = {
         table.__name__: table
         for table in (
             scenario.Scenario, scenario.Simulation, scenario.Control, scenario.Check,
-            scenario.Sabotage, scenario.Arm, scenario.Waypoint, scenario.Obstacle,
+            scenario.Sabotage, scenario.Arm, scenario.Waypoint, scenario.Stream, scenario.Obstacle,
             scenario.Instrument, scenario.Change, scenario.Bound, scenario.Variation,
         )
     },

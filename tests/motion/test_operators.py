@@ -7,7 +7,8 @@ import pytest
 
 from workcell import scenario
 from workcell.motion.operators import make_operator
-from workcell.motion.operators.human import TREMOR_HZ, HumanOperator
+from workcell.motion.operators.hand import TREMOR_HZ
+from workcell.motion.operators.human import HumanOperator
 from workcell.motion.orientation import rotation_between
 
 HOME = np.array([0.4, 0.5, 0.4])
@@ -149,3 +150,83 @@ def test_a_person_at_a_single_site_works_on():
     settings = human(sites=[{"position_m": [0.4, 0.6, 0.4]}], stop_probability=0.0)
     operator = HumanOperator(settings, HOME, UPRIGHT, np.random.default_rng(0))
     assert operator.setpoint(30.0).target.position_m == pytest.approx([0.4, 0.6, 0.4], abs=0.11)
+
+
+HOSTILE = {
+    "reach_out_probability": 1.0,
+    "flick_probability": 1.0,
+    "reversal_probability": 1.0,
+    "stop_probability": 0.0,
+    "withdraw_probability": 0.0,
+    "elbow_probability": 0.0,
+    "pause_s": (0.1, 0.2),
+    "tremor_m": 0.0,
+}
+
+
+def hostile(duration_s=30.0, step_s=0.002, **settings):
+    operator = make(human(**HOSTILE | settings))
+    return [operator.setpoint(t) for t in np.arange(0.0, duration_s, step_s)]
+
+
+def test_a_hostile_person_does_all_it_can_do_within_its_peaks():
+    setpoints = hostile()
+    fastest: dict[str, float] = {}
+    for w in setpoints:
+        speed = float(np.linalg.norm(w.target.velocity_m_s))
+        fastest[w.doing] = max(fastest.get(w.doing, 0.0), speed)
+    assert set(fastest) == {"reach", "pause", "flick", "reversal", "reach_out"}
+    assert fastest["flick"] <= 2.0
+    assert 1.0 < fastest["reversal"] <= 2.0
+    assert fastest["reach_out"] == pytest.approx(0.5, rel=1e-3)
+    acceleration = np.diff([w.target.velocity_m_s for w in setpoints], axis=0) / 0.002
+    assert np.linalg.norm(acceleration, axis=1).max() <= 15.0 * 1.01
+
+
+def test_reaching_out_ends_at_its_distance_level_or_above():
+    setpoints = hostile(
+        flick_probability=0.0, reversal_probability=0.0, speed_m_s=1.0, acceleration_m_s2=5.0
+    )
+    out = [k for k, w in enumerate(setpoints) if w.doing == "reach_out"]
+    ends = [k for k in out if k + 1 < len(setpoints) and setpoints[k + 1].doing != "reach_out"]
+    begins = [k for k in out if setpoints[k - 1].doing != "reach_out"]
+    assert len(ends) > 3
+    for first, last in zip(begins, ends, strict=False):
+        way = setpoints[last + 1].target.position_m - setpoints[first].target.position_m
+        assert np.linalg.norm(way) == pytest.approx(0.8, abs=1e-3)
+        assert way[2] >= -1e-9
+
+
+def test_flicks_and_reversals_come_back_to_where_they_began():
+    for doing, way in (("flick", 0.3), ("reversal", 0.05)):
+        settings = {"flick_probability": 0.0, "reversal_probability": 0.0} | {
+            f"{doing}_probability": 1.0,
+            f"{doing}_m": way,
+            "reach_out_probability": 0.0,
+        }
+        setpoints = hostile(**settings)
+        inside = [k for k, w in enumerate(setpoints) if w.doing == doing]
+        begins = [k for k in inside if setpoints[k - 1].doing != doing]
+        ends = [k for k in inside if k + 1 < len(setpoints) and setpoints[k + 1].doing != doing]
+        assert len(ends) > 3
+        for first, last in zip(begins, ends, strict=False):
+            path = np.array([w.target.position_m for w in setpoints[first - 1 : last + 2]])
+            away = np.linalg.norm(path - path[0], axis=1)
+            assert away.max() == pytest.approx(way, abs=2e-3)
+            assert away[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_switched_off_draws_nothing():
+    """The keys of a hostile hand do not change what a person did before there were any."""
+    times = np.arange(0.0, 20.0, 0.05)
+    keys = {"reach_out_m": 2.0, "flick_m": 0.4, "reversal_count": 9, "fast_speed_m_s": 1.0}
+    assert np.array_equal(positions(make(human()), times), positions(make(human(**keys)), times))
+
+
+def test_a_hostile_motion_is_seeded():
+    times = np.arange(0.0, 20.0, 0.05)
+    one, again = make(human(**HOSTILE)), make(human(**HOSTILE))
+    assert np.array_equal(positions(one, times), positions(again, times))
+    assert not np.allclose(
+        positions(make(human(**HOSTILE)), times), positions(make(human(**HOSTILE), seed=1), times)
+    )

@@ -42,7 +42,7 @@ class Caps:
     turn_rad_s2: float
 
     @classmethod
-    def of(cls, settings: scenario.Recording | scenario.Live) -> Caps:
+    def of(cls, settings: scenario.Recording | scenario.Live | scenario.Stream) -> Caps:
         """Those of an operator whose input may leap."""
         return cls(
             settings.max_speed_m_s,

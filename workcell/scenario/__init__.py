@@ -15,7 +15,16 @@ from __future__ import annotations
 
 from workcell.scenario.jobs import Exchange, Fetch, Job, Meet, Move, Present, Put, Retreat, Wait
 from workcell.scenario.load import find, load, validate
-from workcell.scenario.operators import Hold, Human, Live, Operator, Recording, Waypoint, Waypoints
+from workcell.scenario.operators import (
+    Hold,
+    Human,
+    Live,
+    Operator,
+    Recording,
+    Stream,
+    Waypoint,
+    Waypoints,
+)
 from workcell.scenario.schema import (
     KINDS,
     Arm,
@@ -61,6 +70,7 @@ __all__ = [
     "Sabotage",
     "Scenario",
     "Simulation",
+    "Stream",
     "Variation",
     "Wait",
     "Waypoint",

@@ -55,8 +55,42 @@ class Recording(Followed):
     gap_s: Positive = 0.25
 
 
+class Streamed(Followed):
+    """Samples that come as they come; times are those after which a fault is named."""
+
+    stale_s: Positive = 0.1
+    late_s: Positive = 0.1
+    frozen_s: NonNegative = 0.0
+
+
+class Live(Streamed):
+    """A person, through `workcell teleop`."""
+
+    kind: Literal["live"]
+
+
+class Stream(Streamed):
+    """How a simulated person's hand is seen: a sampled stream with faults, followed as a live one is."""
+
+    rate_hz: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False)] = 30.0
+    jitter_s: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
+    gap_probability: Probability = 0.0
+    gap_s: tuple[Positive, Positive] = (0.1, 0.5)
+    burst_probability: Probability = 0.0
+    burst_s: Positive = 0.2
+    spike_probability: Probability = 0.0
+    spike_m: Positive = 0.5
+    identity_probability: Probability = 0.0
+
+    @model_validator(mode="after")
+    def _gap_has_an_order(self) -> Stream:
+        if self.gap_s[0] > self.gap_s[1]:
+            raise ValueError("gap_s is the shortest and the longest gap, in this order")
+        return self
+
+
 class Human(Table):
-    """A simulated person who works at sites; positions are in the world."""
+    """A simulated person who works at sites; positions are in the world. With the later keys a hostile one."""
 
     kind: Literal["human"]
     sites: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
@@ -72,21 +106,24 @@ class Human(Table):
     elbow_shift_m: Positive = 0.05
     tremor_m: NonNegative = 6e-5
     start_s: NonNegative = 0.5
+    reach_out_probability: Probability = 0.0
+    reach_out_m: Positive = 0.8
+    reach_out_speed_m_s: Positive = 0.5
+    flick_probability: Probability = 0.0
+    flick_m: Positive = 0.15
+    flick_rad: NonNegative = 0.5
+    reversal_probability: Probability = 0.0
+    reversal_m: Positive = 0.1
+    reversal_count: Annotated[int, Field(ge=1, le=100)] = 4
+    fast_speed_m_s: Positive = 2.0
+    fast_acceleration_m_s2: Positive = 15.0
+    stream: Stream | None = None
 
     @model_validator(mode="after")
     def _pause_has_an_order(self) -> Human:
         if self.pause_s[0] > self.pause_s[1]:
             raise ValueError("pause_s is the shortest and the longest pause, in this order")
         return self
-
-
-class Live(Followed):
-    """A person, through `workcell teleop`; times are those after which a fault is named."""
-
-    kind: Literal["live"]
-    stale_s: Positive = 0.1
-    late_s: Positive = 0.1
-    frozen_s: NonNegative = 0.0
 
 
 Operator = Annotated[Hold | Waypoints | Recording | Human | Live, Field(discriminator="kind")]

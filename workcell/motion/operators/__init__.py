@@ -18,9 +18,13 @@ from workcell.motion.operators.live import LiveOperator
 from workcell.motion.operators.recording import RecordingOperator
 from workcell.motion.operators.recording import faults as recording_faults
 from workcell.motion.operators.scripted import HoldOperator, WaypointsOperator
+from workcell.motion.operators.streamed import StreamedHumanOperator
 from workcell.motion.setpoint import Operator
 
 __all__ = ["Operator", "faults", "make_operator"]
+
+_OF_THE_STREAM = 1
+"""Keeps the faults of a stream apart from the motion of the person behind it."""
 
 
 def make_operator(
@@ -51,7 +55,17 @@ def make_operator(
             return RecordingOperator(settings, position_m, wxyz, period_s=period_s)
         case scenario.Human():
             random = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            return HumanOperator(settings, position_m, wxyz, random)
+            person = HumanOperator(settings, position_m, wxyz, random)
+            if settings.stream is None:
+                return person
+            return StreamedHumanOperator(
+                person,
+                settings.stream,
+                position_m,
+                wxyz,
+                period_s=period_s,
+                random=np.random.default_rng([seed, zlib.crc32(name.encode()), _OF_THE_STREAM]),
+            )
         case scenario.Live():
             return LiveOperator(settings, position_m, wxyz, period_s=period_s)
     return HoldOperator(position_m, wxyz)

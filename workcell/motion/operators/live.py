@@ -24,7 +24,7 @@ class LiveOperator:
 
     def __init__(
         self,
-        settings: scenario.Live,
+        settings: scenario.Live | scenario.Stream,
         position_m: NDArray[np.float64],
         wxyz: NDArray[np.float64],
         *,

@@ -75,7 +75,7 @@ class JumpRule:
         settings: Of the operator.
     """
 
-    def __init__(self, settings: scenario.Recording | scenario.Live):
+    def __init__(self, settings: scenario.Recording | scenario.Live | scenario.Stream):
         self._settings = settings
         self._jumped: Sample | None = None
         """The newest sample of the new place, while it is not believed."""
