@@ -6,7 +6,12 @@ SUFFIXES = {
     "s": "_s", "m": "_m", "rad": "_rad", "m/s": "_m_s", "rad/s": "_rad_s", "1/s": "_per_s",
     "1/m": "_per_m",
 }  # fmt: skip
-WITHOUT_SUFFIX = {"qpos", "qvel"}  # Their names are MuJoCo's, fixed by the trace contract.
+WITHOUT_SUFFIX = {
+    "qpos",
+    "qvel",
+    "plant_qpos",
+    "plant_qvel",
+}  # Their names are MuJoCo's, fixed by the trace contract.
 
 
 def layout(arms=("surgeon", "nurse")):

@@ -20,7 +20,7 @@ Shape = Literal["scalar", "nq", "nv", "pairs", "xyz", "wxyz"]
 Dtype = Literal["float64", "int64", "int32", "string"]
 
 STAGES = (
-    "time", "state", "target", "proximity", "ttc", "criteria", "ik", "scaling", "check", "command",
+    "time", "plant", "state", "target", "proximity", "ttc", "criteria", "ik", "scaling", "check", "command",
     "mode",
 )  # fmt: skip
 """Steps of a control tick in the order they are computed. Where two traces part in several
@@ -91,6 +91,9 @@ _S = Signal
 CELL_SIGNALS: tuple[Signal, ...] = (
     _S("tick", "", "scalar", "int64", 0, 0, "time", "count of the control tick"),
     _S("time_s", "s", "scalar", "float64", 1e-12, 0, "time", "tick times period"),
+    _S("plant_qpos", "rad", "nq", "float64", 1e-6, 0, "plant",
+       "true positions; null where no plant took part", nullable=True),
+    _S("plant_qvel", "rad/s", "nv", "float64", 1e-5, 0, "plant", "true velocities", nullable=True),
     _S("qpos", "rad", "nq", "float64", 1e-6, 0, "state", "positions the controller saw"),
     _S("qvel", "rad/s", "nv", "float64", 1e-5, 0, "state", "velocities the controller saw"),
     _S("pair_distance_m", "m", "pairs", "float64", 1e-6, 0, "proximity",

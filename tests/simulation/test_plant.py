@@ -13,6 +13,7 @@ from tests import cells
 from workcell import run as runner
 from workcell.control.controller import Controller
 from workcell.errors import InputError
+from workcell.guard.verdict import CheckState, Verdict
 from workcell.scene import cell as scene
 from workcell.simulation.plant import Plant
 from workcell.trace.table import load
@@ -123,3 +124,31 @@ def test_what_a_hand_takes_is_carried_from_where_it_truly_is(tmp_path):
             plant.step(controller)
     plant._instruments.carry(plant.data)
     np.testing.assert_allclose(in_hand(), before, atol=1e-12)
+
+
+def test_the_record_has_the_true_state_and_the_final_check_sees_it(tmp_path):
+    """However late and noisy the controller's belief: truth is logged, and truth is what is checked."""
+    found = content()
+    found["simulation"] |= {"latency_ticks": 5, "position_noise_rad": 1e-3}
+    cell = cells.build(tmp_path, found)
+    seen = []
+
+    class Watching:
+        halted = False
+
+        def ask(self, tick, qpos, windows, holders):
+            seen.append(qpos)
+            return Verdict(CheckState.CLEAR, 0, tick, 0, 1.0, None, None, "")
+
+        def observe(self, *_):
+            raise AssertionError("nothing was halted")
+
+    plant, controller = Plant(cell), Controller(cell, check=Watching())
+    with plant.steered_by(controller):
+        for _ in range(20):
+            truth = np.array(plant.data.qpos), np.array(plant.data.qvel)
+            record = plant.step(controller)
+            np.testing.assert_array_equal(record.plant_qpos, truth[0])
+            np.testing.assert_array_equal(record.plant_qvel, truth[1])
+            np.testing.assert_array_equal(seen[-1], truth[0])
+            assert not np.array_equal(record.qpos, truth[0])

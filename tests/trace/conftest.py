@@ -126,6 +126,8 @@ def run(tmp_path_factory) -> Run:
             row = {
                 "tick": tick,
                 "time_s": time_s,
+                "plant_qpos": qpos,
+                "plant_qvel": None,
                 "qpos": qpos,
                 "qvel": command,
                 "pair_distance_m": distance,

@@ -127,7 +127,8 @@ def test_a_run_without_settings_pairs_or_contact(run, tmp_path):
     """Nothing to measure against is None, never a number made up."""
     layout = Layout(arms=(), joints=("a",), nq=1, nv=1, pairs=())
     row = {
-        "tick": 0, "time_s": 0.0, "qpos": np.zeros(1), "qvel": np.zeros(1),
+        "tick": 0, "time_s": 0.0, "plant_qpos": None, "plant_qvel": None,
+        "qpos": np.zeros(1), "qvel": np.zeros(1),
         "pair_distance_m": np.zeros(0), "pair_rate_m_s": np.zeros(0), "closest_pair": None,
         "ttc_s": None, "ttc_pair": None, "witness_i_m": None, "witness_j_m": None,
         "wanted_rad_s": np.zeros(1), "ttc_command_s": None, "check_distance_m": None,

@@ -124,15 +124,25 @@ class Controller:
             qpos, qvel: What the controller is told of its state.
         """
         try:
-            self.step(qpos, qvel)
+            self.step(qpos, qvel, np.array(data.qpos))
             self._write(data)
         except BaseException as error:
             # MuJoCo leaves a callback that raises by a long jump, which ends the whole process if
             # the callback has called MuJoCo itself. So it waits for `record`, which is asked next.
             self._failure = error
 
-    def step(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> TickRecord:
+    def step(
+        self,
+        qpos: NDArray[np.float64],
+        qvel: NDArray[np.float64],
+        encoders: NDArray[np.float64] | None = None,
+    ) -> TickRecord:
         """One tick, from a measured state to a record with the commands; pure but for the controller's own memory.
+
+        Args:
+            qpos, qvel: What the controller is told of the plant's state.
+            encoders: (nq,) what the final check sees: the plant, whatever the controller is told; None
+                where there is no plant.
 
         Raises:
             ControlFault: a state, target or solution is not finite.
@@ -142,7 +152,7 @@ class Controller:
         settings = self._settings
         sensed = self._sensing.measure(self.tick, np.array(qpos), np.array(qvel), settings)
         seen = {arm.name: self._sensing.look_at(arm, settings) for arm in self._arms}
-        verdict = self._ask(sensed, seen)
+        verdict = self._ask(sensed, seen, sensed.qpos if encoders is None else encoders)
         setpoints = {arm.name: self._setpoints.follow(arm, sensed, seen) for arm in self._arms}
         for arm in self._arms:
             prediction.predict(self._sensing.watched, arm, setpoints[arm.name])
@@ -168,11 +178,13 @@ class Controller:
 
     # ---------------------------------------------------------------- stages that are one screen
 
-    def _ask(self, sensed: Sensed, seen: dict[str, Any]) -> Verdict | None:
+    def _ask(
+        self, sensed: Sensed, seen: dict[str, Any], encoders: NDArray[np.float64]
+    ) -> Verdict | None:
         """Ask the final check whether the arms may go on."""
         if self._check is None:
             return None
-        verdict = self._check.ask(sensed.tick, sensed.qpos, self.windows, self.grasps.holders)
+        verdict = self._check.ask(sensed.tick, encoders, self.windows, self.grasps.holders)
         if self._check.halted:
             for arm in self._arms:
                 if self._is_stopped(arm):

@@ -54,6 +54,8 @@ def outcome(
     return TickRecord(
         tick=sensed.tick,
         time_s=sensed.time_s,
+        plant_qpos=None,  # the plant's to say
+        plant_qvel=None,
         qpos=sensed.qpos,
         qvel=sensed.qvel,
         pair_distance_m=sensed.distance_m,

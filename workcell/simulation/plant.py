@@ -64,6 +64,8 @@ class Plant:
         mujoco.mj_kinematics(cell.model, self.data)
         self.measurement = Measurement(cell.scenario.simulation)
         self._instruments = Instruments(cell, self.data)
+        self._state = np.array(self.data.qpos), np.array(self.data.qvel)
+        """As it was when the controller was last asked."""
 
     @contextmanager
     def steered_by(self, controller: Steersman) -> Iterator[None]:
@@ -78,6 +80,7 @@ class Plant:
         def callback(called_model: mujoco.MjModel, called_data: mujoco.MjData) -> None:
             # The callback is global to the process: other simulations in it must not be steered.
             if called_data is data:
+                self._state = np.array(data.qpos), np.array(data.qvel)
                 controller.control(data, *measurement.read(data.qpos, data.qvel))
                 instruments.follow(controller.holders, data)
 
@@ -95,19 +98,24 @@ class Plant:
         """One control period; the callback fires inside.
 
         Returns:
-            The controller's record.
+            The controller's record, with the true state it was made at.
         """
         model, data = self.model, self.data
         self._instruments.carry(data)
         if not self._kinematic:
             mujoco.mj_step(model, data)
-            return controller.record
+            return self._completed(controller.record)
         mujoco.mj_forward(model, data)
         record = controller.record
         data.qvel[:] = record.command_rad_s
         mujoco.mj_integratePos(model, data.qpos, np.asarray(data.qvel), self._cell.period_s)
         data.time += self._cell.period_s
-        return record
+        return self._completed(record)
+
+    def _completed(self, record: Any) -> Any:
+        """A record with what only the plant knows."""
+        qpos, qvel = self._state
+        return record._replace(plant_qpos=qpos, plant_qvel=qvel)
 
 
 _BUSY = (
