@@ -17,7 +17,7 @@ from workcell.guard.check_setup import check_settings
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.settings import TestFault
 from workcell.guard.supervisor import LatchedCheck
-from workcell.live.teleop import Pace
+from workcell.live.pace import Pace
 from workcell.trace.table import load
 
 FAULT_TICK = 60

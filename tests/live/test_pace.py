@@ -1,13 +1,14 @@
-"""What of tele-operation needs no screen: the pace, the keys, the stick, the stream's listener."""
+"""The pace of a live run: held back to the clock, told when it is not, and the period that can be held."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
+from tests import cells
 from workcell.errors import InputError
-from workcell.live.devices import DEAD_ZONE, GAMEPAD_SPEED_M_S, STEP_M, STEP_RAD, Keys, stick_motion
-from workcell.live.teleop import GIVE_UP_S, Pace, teleop
+from workcell.live import pace as pace_module
+from workcell.live.pace import GIVE_UP_S, Pace, choose_period, speed_words
+from workcell.live.teleop import teleop
 
 
 class Clock:
@@ -57,25 +58,71 @@ def test_a_run_too_slow_for_the_clock_slips_instead_of_racing():
     assert account.slipped_s == pytest.approx(1.0, abs=0.12)
 
 
-def test_keys_move_and_turn_by_their_step():
-    keys = Keys()
-    for key in (262, 262, 263, 265, 266, 326, ord("7"), ord("7"), ord("6"), ord("8"), 32):
-        keys.press(key)
-    asked = keys.take(0.1)
-    assert asked.way_m == pytest.approx([STEP_M, STEP_M, STEP_M])
-    assert asked.turn_rad == pytest.approx([STEP_RAD, 0, 0])
-    assert (asked.t_min_steps, asked.criterion_steps, asked.quit) == (1, 1, False)
-    assert not keys.take(0.1).way_m.any()  # taken once
-    keys.press(ord("9"))
-    assert asked.and_then(keys.take(0.1)).quit
+def test_the_speed_that_is_told_is_that_of_the_last_seconds():
+    clock = Clock()
+    keeper = Pace(0.01, clock=clock, sleep=clock.sleep)
+    assert keeper.speed == 1.0
+    for tick in range(400):
+        keeper.wait(tick)
+        clock.now_s += 0.004
+    assert keeper.speed == pytest.approx(1.0, abs=0.01)
+    for tick in range(400, 800):
+        keeper.wait(tick)
+        clock.now_s += 0.02
+    assert keeper.speed == pytest.approx(0.5, abs=0.02)
+    assert speed_words(keeper.speed).startswith("half speed")
+    assert speed_words(1.0) == "real time"
+    assert speed_words(0.25) == "25 % speed"
 
 
-def test_a_stick_moves_by_speed_and_time_and_a_released_one_not_at_all():
-    still = stick_motion(np.full(6, 0.9 * DEAD_ZONE), 0.1)
-    assert not np.any(still)
-    way, turn = stick_motion(np.array([1.0, 0, 0, 0, 0, -1.0]), 0.1)
-    assert way == pytest.approx([GAMEPAD_SPEED_M_S * 0.1, 0, 0])
-    assert turn[2] < 0
+def test_a_pause_is_not_lateness():
+    clock = Clock()
+    keeper = Pace(0.01, clock=clock, sleep=clock.sleep)
+    for tick in range(10):
+        keeper.wait(tick)
+    clock.now_s += 60.0
+    keeper.resume()
+    for tick in range(10, 20):
+        keeper.wait(tick)
+    assert keeper.account.missed == 0
+    assert keeper.account.slipped_s == 0.0
+    assert keeper.speed == 1.0
+
+
+def live_duet(tmp_path, **simulation):
+    content = cells.duet()
+    content["check"] = {"enabled": False}
+    content["simulation"] |= simulation
+    content["arm"][0]["operator"] = {"kind": "live"}
+    return cells.load(tmp_path, content)
+
+
+@pytest.mark.parametrize(
+    ("needs_s", "period_s", "words"),
+    [
+        (0.0005, 0.002, "in real time"),
+        (0.003, 0.005, "instead of 2 ms"),
+        (0.5, 0.02, "slower than the clock"),
+    ],
+)
+def test_the_smallest_period_that_holds_is_chosen_and_said(
+    tmp_path, monkeypatch, needs_s, period_s, words
+):
+    monkeypatch.setattr(pace_module, "tick_s", lambda scenario: needs_s)
+    choice = choose_period(live_duet(tmp_path, period_s=0.002))
+    assert choice.scenario.simulation.period_s == period_s
+    assert words in choice.said
+
+
+def test_a_period_that_was_asked_for_is_kept_and_said_not_to_hold(tmp_path, monkeypatch):
+    monkeypatch.setattr(pace_module, "tick_s", lambda scenario: 0.5)
+    choice = choose_period(live_duet(tmp_path, period_s=0.004), keep=True)
+    assert choice.scenario.simulation.period_s == 0.004
+    assert "as asked" in choice.said
+
+
+def test_a_tick_is_measured_by_running_it(tmp_path):
+    assert 0.0 < pace_module.tick_s(live_duet(tmp_path)) < 1.0
 
 
 def test_tele_operation_needs_a_live_arm(tmp_path):

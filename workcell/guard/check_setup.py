@@ -19,6 +19,8 @@ from workcell.scenario import Exchange, Fetch, Meet
 from workcell.scene.cell import Cell
 from workcell.scene.contacts import hand_bodies, window_name
 
+DEADLINE_TICKS = 5
+"""Live, an answer may take at least this many ticks: a machine that needs long ones needs its time for the check, too."""
 MEETING_S = 60.0
 """How long two tools may be exempt from the final check if a job forgets to part them; chosen longer than any exchange."""
 CLOSING_MARGIN = 1.25
@@ -35,12 +37,14 @@ def check_settings(cell: Cell) -> CheckSettings:
     """What the checker of a cell is told."""
     scenario = cell.scenario
     d_min = scenario.control.d_min_m if scenario.check.d_min_m is None else scenario.check.d_min_m
+    deadline = max(DEADLINE_S, DEADLINE_TICKS * cell.period_s)
     return CheckSettings(
         arms=tuple(arm.name for arm in cell.arms),
         d_min_m=d_min,
         period_s=cell.period_s,
         every_ticks=scenario.check.every_ticks,
-        max_age_ticks=math.ceil(DEADLINE_S / cell.period_s) + 1,
+        deadline_s=deadline,
+        max_age_ticks=math.ceil(deadline / cell.period_s) + 1,
         exemptions=_exemptions(cell, d_min),
         instruments=tuple(Held(item.name, item.rests_on) for item in cell.instruments),
         hands=tuple(

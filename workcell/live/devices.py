@@ -1,12 +1,13 @@
-"""Keys and gamepad -> how far a target is moved and turned, and what else is asked for.
+"""Keys, sticks and gamepads -> how far a target is moved and turned, and what else is asked for.
 
-Keys arrive one by one from the viewer's thread and are taken together once a frame. Those the
-viewer uses itself (letters, digits up to 5, Space, Tab) are left to it.
+A key that is held moves the target at a constant speed for as long as it is held. Both surfaces, the
+page and the window, come here with their own names for keys; what the keys do is the same.
 """
 
 from __future__ import annotations
 
 import queue
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
@@ -15,15 +16,16 @@ from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.extras import need
-from workcell.motion.orientation import turned
 from workcell.scenario import Criterion, Entry
 
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 """In the order in which the key goes through them."""
 T_MIN_STEP_S = 0.1
-STEP_M = 0.01
-"""A key press moves the target by this; chosen small enough to steer by, large enough to get on."""
-STEP_RAD = 0.05
+KEY_SPEED_M_S = 0.1
+KEY_TURN_RAD_S = 0.5
+"""A key that is held moves the target at this speed; chosen slow enough to stop within a centimetre by eye."""
+SLOW_SHARE = 0.25
+"""With Shift a key moves at this share of its speed."""
 GAMEPAD_SPEED_M_S = 0.25
 GAMEPAD_TURN_RAD_S = 0.8
 """At full deflection; chosen below the caps of the live operator, so that the stick has no lag."""
@@ -32,9 +34,11 @@ DEAD_ZONE = 0.12
 
 _RIGHT, _LEFT, _DOWN, _UP, _PAGE_UP, _PAGE_DOWN = 262, 263, 264, 265, 266, 267
 _KEYPAD = {digit: 320 + digit for digit in range(10)}
+_LEFT_SHIFT, _RIGHT_SHIFT = 340, 344
 """GLFW's codes."""
 
-MOVES: dict[int, tuple[float, float, float]] = {
+Axis = tuple[float, float, float]
+MOVES: dict[int, Axis] = {
     _RIGHT: (1, 0, 0),
     _LEFT: (-1, 0, 0),
     _UP: (0, 1, 0),
@@ -42,8 +46,8 @@ MOVES: dict[int, tuple[float, float, float]] = {
     _PAGE_UP: (0, 0, 1),
     _PAGE_DOWN: (0, 0, -1),
 }
-"""Key -> direction in the world."""
-TURNS: dict[int, tuple[float, float, float]] = {
+"""Key of the window -> direction in the world."""
+TURNS: dict[int, Axis] = {
     _KEYPAD[6]: (1, 0, 0),
     _KEYPAD[4]: (-1, 0, 0),
     _KEYPAD[8]: (0, 1, 0),
@@ -51,15 +55,34 @@ TURNS: dict[int, tuple[float, float, float]] = {
     _KEYPAD[9]: (0, 0, 1),
     _KEYPAD[7]: (0, 0, -1),
 }
-"""Key -> axis of the world."""
+"""Key of the window -> axis of the world."""
 ENTRIES: dict[int, Entry] = {_KEYPAD[1]: "left", _KEYPAD[3]: "right", _KEYPAD[5]: "above"}
-"""Key -> side from which what is on its way is to be presented."""
-_T_MIN_DOWN, _T_MIN_UP, _CRITERION, _QUIT = ord("6"), ord("7"), ord("8"), ord("9")
+"""Key of the window -> side from which what is on its way is to be presented."""
+_T_MIN_DOWN, _T_MIN_UP, _CRITERION, _QUIT, _RELEASE = (ord(digit) for digit in "67890")
+
+PAGE_MOVES: dict[str, Axis] = {
+    "ArrowRight": (1, 0, 0),
+    "ArrowLeft": (-1, 0, 0),
+    "ArrowUp": (0, 1, 0),
+    "ArrowDown": (0, -1, 0),
+    "PageUp": (0, 0, 1),
+    "PageDown": (0, 0, -1),
+}
+"""Key of the page -> direction as the picture shows it: right, away, up."""
+PAGE_TURNS: dict[str, Axis] = {
+    "KeyK": (1, 0, 0),
+    "KeyI": (-1, 0, 0),
+    "KeyO": (0, 1, 0),
+    "KeyU": (0, -1, 0),
+    "KeyJ": (0, 0, 1),
+    "KeyL": (0, 0, -1),
+}
+"""Key of the page -> axis as the picture shows it."""
 
 
 @dataclass
-class Steering:
-    """What was asked for since the last frame."""
+class DeviceInput:
+    """What was asked for since it was last asked."""
 
     way_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     """(3,) translation in the world."""
@@ -69,66 +92,97 @@ class Steering:
     criterion_steps: int = 0
     entry: Entry | None = None
     """The side asked for last; None if none was."""
+    release: bool = False
+    """Whether arms that the final check has stopped may go on."""
+    record_steps: int = 0
+    """How often the recording of a take was begun or ended."""
+    reset: bool = False
+    """Whether the run is to end and start over."""
     quit: bool = False
 
-    def and_then(self, later: Steering) -> Steering:
+    def and_then(self, later: DeviceInput) -> DeviceInput:
         """Both together: the ways and turns of a frame are small, so their order does not matter."""
-        return Steering(
+        return DeviceInput(
             self.way_m + later.way_m,
             self.turn_rad + later.turn_rad,
             self.t_min_steps + later.t_min_steps,
             self.criterion_steps + later.criterion_steps,
             later.entry or self.entry,
+            self.release or later.release,
+            self.record_steps + later.record_steps,
+            self.reset or later.reset,
             self.quit or later.quit,
         )
 
-    def moved(
-        self, position_m: NDArray[np.float64], wxyz: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """A pose after translation and rotation."""
-        return position_m + self.way_m, turned(wxyz, self.turn_rad)
+
+def key_motion(
+    moves: Collection[Axis], turns: Collection[Axis], passed_s: float, *, slow: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Translation and rotation vector of keys that were held for some time.
+
+    Keys that are held together move along the diagonal, no faster than one alone; opposite ones cancel.
+    """
+    share = passed_s * (SLOW_SHARE if slow else 1.0)
+    return KEY_SPEED_M_S * share * _direction(moves), KEY_TURN_RAD_S * share * _direction(turns)
 
 
-class Keys:
-    """Collects key presses and reads the gamepad.
+def _direction(axes: Collection[Axis]) -> NDArray[np.float64]:
+    total = np.sum(list(axes), axis=0, dtype=float) if axes else np.zeros(3)
+    return total / max(1.0, float(np.linalg.norm(total)))
+
+
+def is_ours(key: int) -> bool:
+    """Whether a key of the window drives, so that the viewer is not to act on it."""
+    ours = {_T_MIN_DOWN, _T_MIN_UP, _CRITERION, _QUIT, _RELEASE}
+    return key in MOVES or key in TURNS or key in ENTRIES or key in ours
+
+
+class WindowKeys:
+    """Collects what is pressed in MuJoCo's window, sees what is held there, and reads the gamepad.
 
     Args:
         gamepad: Whether to open the first gamepad.
+        held: Says which of some keys are held now.
 
     Raises:
         InputError: a gamepad is wanted and there is none, or pygame is not installed.
     """
 
-    def __init__(self, *, gamepad: bool = False):
+    def __init__(self, held: Callable[[Collection[int]], set[int]], *, gamepad: bool = False):
+        self._held = held
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._pad = _open_gamepad() if gamepad else None
 
     def press(self, key: int) -> None:
-        """The viewer's key callback; runs in the viewer's thread."""
+        """A key has gone down; may be called from any thread."""
         self._pressed.put(key)
 
-    def take(self, passed_s: float) -> Steering:
+    def take(self, passed_s: float) -> DeviceInput:
         """Everything since the last call, `passed_s` ago."""
-        steering = Steering()
+        asked = DeviceInput()
+        down = self._held({*MOVES, *TURNS, _LEFT_SHIFT, _RIGHT_SHIFT})
+        asked.way_m, asked.turn_rad = key_motion(
+            [MOVES[key] for key in down & MOVES.keys()],
+            [TURNS[key] for key in down & TURNS.keys()],
+            passed_s,
+            slow=bool(down & {_LEFT_SHIFT, _RIGHT_SHIFT}),
+        )
         while not self._pressed.empty():
             key = self._pressed.get()
-            if key in MOVES:
-                steering.way_m += STEP_M * np.array(MOVES[key])
-            elif key in TURNS:
-                steering.turn_rad += STEP_RAD * np.array(TURNS[key])
-            elif key in ENTRIES:
-                steering.entry = ENTRIES[key]
+            if key in ENTRIES:
+                asked.entry = ENTRIES[key]
             elif key == _CRITERION:
-                steering.criterion_steps += 1
+                asked.criterion_steps += 1
+            elif key == _RELEASE:
+                asked.release = True
             elif key == _QUIT:
-                steering.quit = True
+                asked.quit = True
             elif key in (_T_MIN_DOWN, _T_MIN_UP):
-                steering.t_min_steps += 1 if key == _T_MIN_UP else -1
+                asked.t_min_steps += 1 if key == _T_MIN_UP else -1
         if self._pad is not None:
             way, turn = stick_motion(read_axes(self._pad), passed_s)
-            steering.way_m += way
-            steering.turn_rad += turn
-        return steering
+            asked.way_m, asked.turn_rad = asked.way_m + way, asked.turn_rad + turn
+        return asked
 
 
 def stick_motion(

@@ -8,6 +8,7 @@ changes when it changed, they give the same trace again: bit by bit on a kinemat
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,38 @@ def write_replay(run: Path | str) -> list[Path]:
     replay = run / REPLAY_FILE
     replay.write_text(Scenario.model_validate(content).to_toml(), encoding="utf-8")
     return [*written, replay]
+
+
+def write_takes(run: Path | str, takes: Sequence[tuple[int, int]]) -> list[Path]:
+    """Write `take_<k>_<arm>.csv` for every take of a live run: a recording that begins at time 0.
+
+    Args:
+        run: Run folder.
+        takes: First tick, and the one after the last, of each.
+
+    Returns:
+        The paths written; none for a take without a tick.
+    """
+    run = Path(run)
+    if not takes:
+        return []
+    trace = load(run)
+    arms = [arm["name"] for arm in trace.metadata["settings"]["arm"] if arm["operator"] is not None]
+    written = []
+    for arm in arms:
+        whole = samples_of(trace, arm)
+        for k, (first, end) in enumerate(takes, start=1):
+            span = slice(first, end)
+            if not len(whole.time_s[span]):
+                continue
+            part = Samples(
+                whole.time_s[span] - whole.time_s[first],
+                whole.position_m[span],
+                whole.wxyz[span],
+                None if whole.twist is None else whole.twist[span],
+            )
+            written.append(write(run / f"take_{k}_{arm}.csv", part))
+    return written
 
 
 def samples_of(trace: Trace, arm: str) -> Samples:

@@ -8,61 +8,87 @@ arm, on data of its own, so that nothing done in the window can push the simulat
 
 from __future__ import annotations
 
+import ctypes
+import os
+import subprocess
+import sys
 import threading
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
+import glfw
 import mujoco
 import mujoco.viewer
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.errors import InputError
-from workcell.live.devices import Keys, Steering
+from workcell.live.camera import CameraView
+from workcell.live.desk import RUNNING, Picture, Tool
+from workcell.live.devices import DeviceInput, WindowKeys, is_ours
+from workcell.live.latency import LatencyMeter
+from workcell.live.marker import Marker, Pose
+from workcell.live.status import AMBER, GREEN, RED, ttc_words
 
 FRAME_S = 1 / 60
 """Time between two pictures, and between two readings of mouse and keys: screens redraw at 60 Hz."""
+READ_S = 0.5
+"""A window that has read no mouse for so long counts as silent; chosen beyond the pauses of a slow renderer."""
 TEXT_S = 0.2
 """Time between two texts; chosen as fast as digits can be read."""
 CLOSING_S = 5.0
 """Longest wait for the viewer to end, so that a stuck driver does not hold the run's results back."""
-VIEW_DISTANCE_M = 2.2
-VIEW_ANGLES_DEG = (90.0, -30.0)
-"""Where the camera starts: along y, so that the arrow keys move the target as the picture shows it."""
-MARKER_HALF_EXTENTS_M = (0.02, 0.02, 0.05)
-MARKER_RGBA = (0.2, 0.75, 0.35, 0.6)
-_WITNESS_RGBA = np.array([0.95, 0.75, 0.1, 1.0], dtype=np.float32)
+PROBE_S = 20.0
+"""Longest wait for a display to answer."""
+MARKER_RADIUS_M = 0.05
+"""Half extent of the marker; chosen so that a double click hits it from where the camera stands."""
+_RGBA = {
+    GREEN: np.array([0.27, 0.82, 0.48, 1.0], dtype=np.float32),
+    AMBER: np.array([1.0, 0.72, 0.22, 1.0], dtype=np.float32),
+    RED: np.array([1.0, 0.35, 0.32, 1.0], dtype=np.float32),
+}
+_MARKER_ALPHA = 0.6
 _WITNESS_WIDTH = 4.0
+_AHEAD_WIDTH = 2.0
+_AHEAD_RGBA = np.array([0.55, 0.62, 0.72, 0.6], dtype=np.float32)
 _COSTLY_EFFECTS = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 """Effects that cost more than they show where a processor has to draw."""
 
-Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""(3,) position in m and (4,) unit quaternion, in the world."""
 
+def require_display() -> None:
+    """Refuse where no window can be opened; without this MuJoCo ends the process.
 
-@dataclass(frozen=True)
-class Picture:
-    """What is to be seen."""
-
-    qpos: NDArray[np.float64]
-    """(nq,)"""
-    time_s: float
-    text: tuple[str, str] = ("", "")
-    """Two columns."""
-    witness_m: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-    """Ends of the line drawn between the most urgent pair."""
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What the person has done."""
-
-    number: int
-    """Counts the readings."""
-    markers: dict[str, Pose]
-    """Pose of every live arm's marker."""
+    Raises:
+        InputError: there is no display, or on macOS the program was not started by `mjpython`.
+    """
+    page = "or leave --window away: the page in a browser needs no display"
+    if sys.platform == "darwin" and not hasattr(mujoco.viewer, "_MJPYTHON"):
+        raise InputError("--window: cannot be probed with this version of MuJoCo; " + page)
+    if sys.platform == "darwin" and mujoco.viewer._MJPYTHON is None:
+        raise InputError(
+            f"--window: on macOS the window needs mjpython: mjpython -m workcell teleop ... --window; {page}"
+        )
+    # In a process of its own: a display that does not answer, or a driver that crashes, ends only that.
+    probe = (
+        "import glfw, sys; ok = glfw.init(); glfw.window_hint(glfw.VISIBLE, 0); "
+        "w = glfw.create_window(64, 64, 'probe', None, None) if ok else None; "
+        "sys.exit(0 if w else 3)"
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", probe], capture_output=True, timeout=PROBE_S
+        )
+        found = done.returncode == 0
+    except subprocess.TimeoutExpired:
+        found = False
+    if not found:
+        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        named = f"the display '{display}' cannot be used" if display else "there is no display"
+        raise InputError(
+            f"--window: {named} (DISPLAY, WAYLAND_DISPLAY); on macOS start with mjpython; {page}"
+        )
 
 
 class Window:
@@ -72,6 +98,7 @@ class Window:
         scene_xml: The scene.
         markers: Pose at which each live arm's marker starts.
         qpos: (nq,) what is seen first.
+        view: Where the camera starts.
         gamepad: Also read the first gamepad.
 
     Raises:
@@ -83,30 +110,31 @@ class Window:
         scene_xml: Path,
         markers: dict[str, Pose],
         qpos: NDArray[np.float64],
+        view: CameraView,
         *,
         gamepad: bool = False,
     ):
         self._model = _with_markers(scene_xml, list(markers))
         self._data = mujoco.MjData(self._model)
-        self._mocap = {
-            arm: int(self._model.body_mocapid[self._model.body(marker_name(arm)).id])
-            for arm in markers
-        }
-        for arm, (position_m, wxyz) in markers.items():
-            self._data.mocap_pos[self._mocap[arm]] = position_m
-            self._data.mocap_quat[self._mocap[arm]] = wxyz
-        self._keys = Keys(gamepad=gamepad)
-        self._keyed = next(iter(self._mocap.values()))
+        self._view = view
+        self._bodies = {arm: self._model.body(marker_name(arm)).id for arm in markers}
+        self._mocap = {a: int(self._model.body_mocapid[body]) for a, body in self._bodies.items()}
+        self._markers = {arm: Marker(*pose) for arm, pose in markers.items()}
+        self._keyboard = _Keyboard()
+        self._keys = WindowKeys(self._keyboard.held, gamepad=gamepad)
+        self._keyed = next(iter(self._markers))
         """The marker that keys and gamepad move: the first."""
-        self._guard = threading.Lock()
+        self._guard = threading.RLock()
         self._picture = Picture(np.array(qpos), 0.0)
-        self._reading = Reading(0, self._poses())
-        self._wishes = Steering()
+        self._asked = DeviceInput()
+        self._hands_s: float | None = None
+        self._read_s = -np.inf
         self._open = threading.Event()
         self._handle: Any = None
         self._threads: list[threading.Thread] = []
+        self.latency = LatencyMeter()
         self.frames = 0
-        """Pictures shown."""
+        self._write_markers()
 
     def __enter__(self) -> Window:
         before = set(threading.enumerate())
@@ -114,7 +142,7 @@ class Window:
             self._handle = mujoco.viewer.launch_passive(
                 self._model,
                 self._data,
-                key_callback=self._keys.press,
+                key_callback=self._key,
                 show_left_ui=False,
                 show_right_ui=False,
             )
@@ -128,9 +156,7 @@ class Window:
                 self._handle.user_scn.flags[effect] = 0
             # Distance sensors would be drawn as well, from data that is not computed here.
             self._handle.opt.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
-            camera, there = self._handle.cam, self._data.mocap_pos[self._keyed]
-            camera.lookat, camera.distance = there, VIEW_DISTANCE_M
-            camera.azimuth, camera.elevation = VIEW_ANGLES_DEG
+            self._aim()
         self._open.set()
         self._threads = [
             threading.Thread(target=loop, daemon=True) for loop in (self._frames, self._texts)
@@ -153,16 +179,59 @@ class Window:
         """False once the person has closed it."""
         return self._open.is_set()
 
+    @property
+    def phase(self) -> str:
+        """A window is not started; it runs."""
+        return RUNNING
+
+    @property
+    def out_of_reach(self) -> frozenset[str]:
+        with self._guard:
+            return frozenset(a for a, marker in self._markers.items() if marker.out_of_reach)
+
+    def begin(self, poses: dict[str, Pose]) -> None:
+        with self._guard:
+            self._markers = {arm: Marker(*pose) for arm, pose in poses.items()}
+            self._hands_s = None
+
+    def hands(self, tools: dict[str, Tool]) -> dict[str, Pose] | None:
+        with self._guard:
+            now_s = time.perf_counter()
+            passed_s = 0.0 if self._hands_s is None else now_s - self._hands_s
+            self._hands_s = now_s
+            hands = {
+                arm: self._markers[arm].follow(passed_s, tool.pose, tool.short, tool.speed_m_s)
+                for arm, tool in tools.items()
+            }
+            # A window that has stopped reading the mouse gives no samples: the operator says so.
+            return hands if now_s - self._read_s < READ_S else None
+
+    def asked(self) -> DeviceInput:
+        with self._guard:
+            asked, self._asked = self._asked, DeviceInput()
+            return asked
+
     def show(self, picture: Picture) -> None:
-        """Set what is drawn next; never waits for the screen."""
         with self._guard:
             self._picture = picture
 
-    def read(self) -> tuple[Reading, Steering]:
-        """The latest reading, and what was asked for since the last call."""
-        with self._guard:
-            wishes, self._wishes = self._wishes, Steering()
-            return self._reading, wishes
+    def conclude(self, report: str) -> None:
+        """The terminal shows the report; the window closes."""
+
+    # ---------------------------------------------------------------- the viewer's threads
+
+    def _key(self, key: int) -> None:
+        """MuJoCo's callback, in the viewer's own thread: once a press."""
+        if self._keyboard.attach(self._keys.press):
+            self._keys.press(key)  # from now on the keyboard itself tells
+
+    def _aim(self) -> None:
+        """Put the camera where it was chosen to be."""
+        camera, ahead = self._handle.cam, self._view.look_at_m - self._view.position_m
+        camera.lookat = self._view.look_at_m
+        camera.distance = float(np.linalg.norm(ahead))
+        camera.azimuth = float(np.degrees(np.arctan2(ahead[1], ahead[0])))
+        camera.elevation = float(np.degrees(np.arcsin(ahead[2] / camera.distance)))
 
     def _frames(self) -> None:
         """Draw and read until the window is closed."""
@@ -172,57 +241,159 @@ class Window:
                 self._open.clear()
                 return
             now_s = time.perf_counter()
-            steering = self._keys.take(now_s - last_s)
+            asked = self._keys.take(now_s - last_s)
             last_s = now_s
-            with self._guard:
+            if asked.way_m.any() or asked.turn_rad.any():
+                self.latency.begin()
+            with self._handle.lock(), self._guard:
                 picture = self._picture
-            with self._handle.lock():
-                data, marker = self._data, self._keyed
-                data.mocap_pos[marker], data.mocap_quat[marker] = steering.moved(
-                    data.mocap_pos[marker], data.mocap_quat[marker]
-                )
-                data.qpos[:] = picture.qpos
-                data.time = picture.time_s
+                self._read_markers()
+                self._markers[self._keyed].push(asked.way_m, asked.turn_rad)
+                self._write_markers()
+                self._data.qpos[:] = picture.qpos
+                self._data.time = picture.time_s
                 # Kinematics alone: no forces, no control callback, no mouse that pushes arms.
-                mujoco.mj_kinematics(self._model, data)
-                mujoco.mj_camlight(self._model, data)
-                self._draw_witness(picture)
+                mujoco.mj_kinematics(self._model, self._data)
+                mujoco.mj_camlight(self._model, self._data)
+                self._draw(picture)
+                self._asked = self._asked.and_then(asked)
+                self._read_s = now_s
             self._handle.sync()
             self.frames += 1
-            with self._guard:
-                self._reading = Reading(self._reading.number + 1, self._poses())
-                self._wishes = self._wishes.and_then(steering)
             time.sleep(FRAME_S)
 
     def _texts(self) -> None:
         """Apart from the pictures, since setting a text waits until it is drawn."""
         while self._open.is_set() and self._handle.is_running():
             with self._guard:
-                text = self._picture.text
-            font, place = mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
-            self._handle.set_texts((font, place, *text))
+                text = status_text(self._picture)
+            font, place = mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
+            keys = (mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_TOPRIGHT, *KEYS)
+            self._handle.set_texts([(font, place, *text), keys])
             time.sleep(TEXT_S)
 
-    def _draw_witness(self, picture: Picture) -> None:
+    def _read_markers(self) -> None:
+        """What the mouse has done to the markers since they were written."""
+        for arm, mocap in self._mocap.items():
+            pose = self._data.mocap_pos[mocap].copy(), self._data.mocap_quat[mocap].copy()
+            if not all(map(np.array_equal, pose, self._written[arm])):
+                self._markers[arm].place(*pose)
+                self.latency.begin()
+
+    def _write_markers(self) -> None:
+        self._written: dict[str, Pose] = {}
+        for arm, mocap in self._mocap.items():
+            marker = self._markers[arm]
+            self._data.mocap_pos[mocap], self._data.mocap_quat[mocap] = marker.wish
+            self._written[arm] = (
+                self._data.mocap_pos[mocap].copy(),
+                self._data.mocap_quat[mocap].copy(),
+            )
+            geom = self._model.body_geomadr[self._bodies[arm]]
+            rgba = _RGBA[RED if marker.out_of_reach else GREEN]
+            self._model.geom_rgba[geom] = [*rgba[:3], _MARKER_ALPHA]
+
+    def _draw(self, picture: Picture) -> None:
+        """The line of the closest pair, and what lies ahead of the support arms."""
         scene = self._handle.user_scn
         scene.ngeom = 0
-        if picture.witness_m is None:
-            return
-        line, kind = scene.geoms[0], mujoco.mjtGeom.mjGEOM_LINE
-        mujoco.mjv_initGeom(line, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _WITNESS_RGBA)
-        mujoco.mjv_connector(line, kind, _WITNESS_WIDTH, *picture.witness_m)
-        scene.ngeom = 1
+        if picture.witness_m is not None and picture.status is not None:
+            _line(scene, picture.witness_m, _WITNESS_WIDTH, _RGBA[picture.status.colour])
+        for points in picture.ahead_m.values():
+            for ends in zip(points[:-1:2], points[1::2], strict=False):
+                _line(scene, ends, _AHEAD_WIDTH, _AHEAD_RGBA)
 
-    def _poses(self) -> dict[str, Pose]:
-        return {
-            arm: (self._data.mocap_pos[mocap].copy(), self._data.mocap_quat[mocap].copy())
-            for arm, mocap in self._mocap.items()
-        }
+
+_KEY_EVENT = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_int
+)
+
+
+class _Keyboard:
+    """The keys of the viewer's window, held ones included.
+
+    MuJoCo's callback tells presses only, and MuJoCo acts on many of the keys itself. In the callback its
+    window is the current one: from there on the window's own key events come here first, and those
+    that drive the markers go no further.
+    """
+
+    def __init__(self) -> None:
+        self._window: Any = None
+        self._kept: Any = None
+        """The callback, which must live as long as the window."""
+
+    def attach(self, press: Callable[[int], None]) -> bool:
+        """Take the keyboard of the current window, once; True if this call did it."""
+        if self._window is not None:
+            return False
+        window = glfw.get_current_context()
+        if not window:
+            return False
+        self._window = window
+        before = None
+
+        @_KEY_EVENT
+        def event(window: Any, key: int, code: int, action: int, modifiers: int) -> None:
+            if not is_ours(key):
+                if before:
+                    before(window, key, code, action, modifiers)
+            elif action == glfw.PRESS:
+                press(key)
+
+        # Not by way of the package's own function, which forgets a callback that came from C.
+        exchange = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, _KEY_EVENT)(
+            ("glfwSetKeyCallback", glfw.library.glfw)
+        )
+        address = exchange(ctypes.cast(window, ctypes.c_void_p), event)
+        before = _KEY_EVENT(address) if address else None
+        self._kept = event
+        return True
+
+    def held(self, keys: Collection[int]) -> set[int]:
+        """Which of some keys are down now."""
+        if self._window is None:
+            return set()
+        return {key for key in keys if glfw.get_key(self._window, key) == glfw.PRESS}
+
+
+KEYS = (
+    "drag\n\nmove\nup, down\nturn\nslowly\nt_min\ncriterion\npresent from\ngo on\nend",
+    "double click the marker, then Ctrl + right button;\nCtrl + left turns it\narrows\nPage Up, Page Down\nkeypad 4 6, 2 8, 7 9\nShift\n6, 7\n8\nkeypad 1 left, 5 above, 3 right\n0, after the final check's stop\n9",
+)
+"""Two columns: what, and with which keys."""
+
+
+def status_text(picture: Picture) -> tuple[str, str]:
+    """Two columns of text for the screen: what, and its value."""
+    now = picture.status
+    if now is None:
+        return "ready", ""
+    distance = "" if now.distance_m is None else f", {1000 * now.distance_m:.0f} mm"
+    lines = {
+        "time": f"{now.time_s:.1f} s, {picture.pace}",
+        f"time to collision ({now.colour})": f"{ttc_words(now.ttc_s)} of t_min {now.t_min_s:.2f} s",
+        "between": now.pair + distance,
+        "criterion": now.criterion,
+        "presents from": now.entry or "as in the jobs",
+        "late ticks": picture.missed,
+    } | {arm.name + (" (you)" if arm.live else ""): arm.words for arm in now.arms}
+    if now.halt:
+        lines["stopped"] = f"{now.halt}; 0 goes on"
+    return "\n".join(lines), "\n".join(line.replace("–", "-") for line in lines.values())
 
 
 def marker_name(arm: str) -> str:
     """Name of the draggable body of an arm."""
     return f"target_{arm}"
+
+
+def _line(scene: Any, ends: Any, width: float, rgba: NDArray[np.float32]) -> None:
+    if scene.ngeom >= scene.maxgeom:
+        return
+    line, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_LINE
+    mujoco.mjv_initGeom(line, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+    mujoco.mjv_connector(line, kind, width, *ends)
+    scene.ngeom += 1
 
 
 def _with_markers(scene_xml: Path, arms: list[str]) -> mujoco.MjModel:
@@ -231,9 +402,9 @@ def _with_markers(scene_xml: Path, arms: list[str]) -> mujoco.MjModel:
     for arm in arms:
         body = spec.worldbody.add_body(name=marker_name(arm), mocap=True)
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=MARKER_HALF_EXTENTS_M,
-            rgba=MARKER_RGBA,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[MARKER_RADIUS_M, 0.0, 0.0],
+            rgba=[*_RGBA[GREEN][:3], _MARKER_ALPHA],
             contype=0,
             conaffinity=0,
         )

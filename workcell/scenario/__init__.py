@@ -39,6 +39,7 @@ from workcell.scenario.schema import (
     Scenario,
     Simulation,
     Variation,
+    View,
 )
 from workcell.scenario.values import UNIT_QUATERNION_TOLERANCE, Entry
 
@@ -72,6 +73,7 @@ __all__ = [
     "Simulation",
     "Stream",
     "Variation",
+    "View",
     "Wait",
     "Waypoint",
     "Waypoints",

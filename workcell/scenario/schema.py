@@ -184,6 +184,14 @@ class Check(Table):
     stops_priority_arms: bool = False
 
 
+class View(Table):
+    """Where a live run is first looked at from; what is not given is chosen so that all tools are seen."""
+
+    camera_azimuth_deg: Finite | None = None
+    camera_elevation_deg: Annotated[float, Field(ge=-89, le=89, allow_inf_nan=False)] | None = None
+    camera_distance_m: Positive | None = None
+
+
 class Sabotage(Table):
     """Faults put into the controller on purpose, so that tests can see the final check stop it."""
 
@@ -234,6 +242,7 @@ class Scenario(Table):
     simulation: Simulation = Simulation()
     control: Control = Control()
     check: Check = Check()
+    view: View = View()
     sabotage: Sabotage = Sabotage()
     arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
     obstacle: tuple[Obstacle, ...] = ()
@@ -264,7 +273,7 @@ class Scenario(Table):
 
     def digest(self) -> str:
         """SHA-256 over the resolved content that a run depends on, independent of layout and comments of the file."""
-        resolved = self.model_dump(mode="json", exclude={"vary"})
+        resolved = self.model_dump(mode="json", exclude={"vary", "view"})
         content = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()
 
