@@ -28,7 +28,7 @@ TABLES: dict[str, type[BaseModel]] = {
     **{
         table.__name__: table
         for table in (
-            scenario.Scenario, scenario.Simulation, scenario.Control, scenario.Check,
+            scenario.Scenario, scenario.Simulation, scenario.Control, scenario.Check, scenario.View,
             scenario.Sabotage, scenario.Arm, scenario.Waypoint, scenario.Stream, scenario.Obstacle,
             scenario.Instrument, scenario.Change, scenario.Bound, scenario.Variation,
         )
