@@ -74,15 +74,53 @@ def test_joints_are_counted_over_the_world():
     assert joints_between(model, body["nurse/tool"], body["surgeon/link2"]) == 7
 
 
-def test_overlap_in_the_reference_pose_counts_as_design():
-    text = scene_text().replace(
-        'name="nurse/tool_tip" type="capsule" size=".008 .03"',
-        'name="nurse/tool_tip" type="capsule" size=".008 .6"',
-    )
-    table, index, _ = table_of(text)
-    assert not table.watched[index["nurse/tool_tip"], index["nurse/link2_bar"]]
-    (row,) = [r for r in table.left_out if {r.body_i, r.body_j} == {"nurse/link2", "nurse/tool"}]
-    assert "by design" in row.reason
+FOLDED = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="nurse/base">
+    <geom name="nurse/mast" type="cylinder" size=".03 .2" pos="-.2 0 .2"/>
+    <geom name="nurse/post" type="cylinder" size=".03 .1" pos="0 0 .1"/>
+    <body name="nurse/link1" pos="0 0 .3">
+      <joint name="nurse/J1" axis="0 0 1" range="{J1}"/><geom type="box" size=".1 .01 .01" pos=".1 0 0"/>
+      <body name="nurse/link2" pos=".2 0 0" quat="0 0 0 1">
+        <joint name="nurse/J2" axis="0 0 1" range="{J2}"/><geom type="box" size=".1 .01 .01" pos=".1 0 0"/>
+        <body name="nurse/link3" pos=".2 0 0">
+          <joint name="nurse/J3" axis="0 0 1" range="{J3}"/>
+          <geom name="nurse/probe" type="capsule" size=".01 .1" fromto="0 0 0 .2 0 0"/>
+        </body></body></body></body>
+  <body name="surgeon/base" pos="3 0 0"><geom size=".1"/></body>
+</worldbody></mujoco>
+"""
+"""An arm whose probe is in its own mast at the zero pose."""
+WIDE = {"J1": "-2.9 2.9", "J2": "0.5 5.7", "J3": "-2.6 2.6"}
+
+
+def folded(home: tuple[float, ...], **ranges: str) -> tuple[PairTable, int, int]:
+    model = mujoco.MjModel.from_xml_string(FOLDED.format(**WIDE | ranges))
+    geometry = collect_geometry(model, ARMS)
+    index = {piece.name: k for k, piece in enumerate(geometry.pieces)}
+    table = choose_pairs(model, geometry, ARMS, home=home)
+    return table, index["nurse/probe"], index["nurse/mast"]
+
+
+def test_what_overlaps_only_at_the_zero_pose_is_watched():
+    """The zero pose may lie outside the joint ranges; the arm never stands there."""
+    table, probe, mast = folded((0.3, 5.1, 1.2))
+    assert table.watched[probe, mast]
+
+
+def test_what_overlaps_at_home_but_not_everywhere_is_watched_too():
+    """It could collide again after it has parted; the start is refused instead."""
+    table, probe, mast = folded((0.0, 0.5, -0.5))
+    assert table.watched[probe, mast]
+
+
+def test_what_overlaps_at_home_and_in_every_sampled_pose_is_left_out_by_name():
+    narrow = {"J1": "-.01 .01", "J2": "-.01 .01", "J3": "-.01 .01"}
+    table, probe, mast = folded((0.0, 0.0, 0.0), **narrow)
+    assert not table.watched[probe, mast]
+    (row,) = [r for r in table.left_out if {r.body_i, r.body_j} == {"nurse/base", "nurse/link3"}]
+    assert "in all of 100 poses within the joint ranges" in row.reason
+    assert row.by_name
 
 
 def test_an_exclusion_of_the_model_is_honoured_and_said():

@@ -8,8 +8,11 @@ an instrument over, `<arm>_<instrument>` where one is fetched.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+
+import mujoco
 
 from workcell.errors import InputError
 from workcell.guard.checker import Checker
@@ -36,6 +39,8 @@ times the way a PA10 needs to stop from 0.26 m/s."""
 def check_settings(cell: Cell) -> CheckSettings:
     """What the checker of a cell is told."""
     scenario = cell.scenario
+    start = mujoco.MjData(cell.model)
+    cell.place_home(start)
     d_min = scenario.control.d_min_m if scenario.check.d_min_m is None else scenario.check.d_min_m
     deadline = max(DEADLINE_S, DEADLINE_TICKS * cell.period_s)
     return CheckSettings(
@@ -51,6 +56,7 @@ def check_settings(cell: Cell) -> CheckSettings:
             tuple(cell.model.body(body).name for body in sorted(hand_bodies(cell.model, arm)))
             for arm in cell.arms
         ),
+        home=tuple(start.qpos.tolist()),
         release_s=MEETING_S,
     )
 
@@ -68,6 +74,20 @@ def try_checker(cell: Cell, scene_xml: Path) -> Checker:
     if checker.geometry.missing:
         raise refusal(cell, [without_geometry(checker.geometry.missing)])
     return checker
+
+
+def left_out(checker: Checker) -> list[str]:
+    """What the final check does not watch and why: pairs within an arm by name, the rest counted by reason."""
+    lines, counts = [], Counter[str]()
+    for row in checker.table.left_out:
+        if row.by_name:
+            lines.append(f"final check leaves out {row.body_i} and {row.body_j}: {row.reason}")
+        else:
+            counts[row.reason] += 1
+    return lines + [
+        f"final check leaves out {number} pairs of bodies: {reason}"
+        for reason, number in counts.items()
+    ]
 
 
 def refusal(cell: Cell, faults: Sequence[str]) -> InputError:

@@ -62,6 +62,7 @@ class Checker:
                 settings.exemptions,
                 settings.instruments,
                 settings.hands,
+                settings.home,
             )
         except InputError as error:
             raise InputError(error.faults, file=scene_xml) from error

@@ -4,7 +4,7 @@ A compiled scene comes in, a list of convex pieces goes out, each with the body 
 and the arm (or the surroundings) that owns it. Finest geometry first: group 2 (housings), else
 whatever else a body has besides the watched capsules of group 4. The capsules themselves never
 count for an arm: the check exists because it does not trust them. A mesh counts as its convex
-hull, which contains it, so a hollow mesh can only be reported nearer than it is.
+hull, which contains it, so a hollow or open mesh can only be reported nearer than it is.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from workcell.errors import InputError
 
@@ -82,7 +81,7 @@ def collect_geometry(model: mujoco.MjModel, arms: tuple[str, ...]) -> Geometry:
     """Chooses the pieces of every body.
 
     Raises:
-        InputError: If an arm has no body in the scene, a mesh is not closed, or a geom is of a
+        InputError: If an arm has no body in the scene, or a geom is of a
             type whose distance cannot be measured. Names each.
     """
     owners = [body_owner(model, body, arms) for body in range(model.nbody)]
@@ -117,26 +116,6 @@ def body_owner(model: mujoco.MjModel, body: int, arms: tuple[str, ...]) -> str:
     return _body_name(model, int(model.body_rootid[body]))
 
 
-def open_edges(model: mujoco.MjModel, mesh: int) -> int:
-    """Number of edges of a mesh that are not shared by exactly two faces of opposite sense."""
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    vertices = model.mesh_vert[first : first + count]
-    # Files may repeat a vertex for every face; equal points are one vertex here.
-    _, merged = np.unique(vertices, axis=0, return_inverse=True)
-    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    faces = merged.reshape(-1)[model.mesh_face[first : first + count]]
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    # A sliver whose corners merged has an edge of no length, which bounds nothing.
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    balance: dict[tuple[int, int], int] = {}
-    uses: dict[tuple[int, int], int] = {}
-    for tail, head in edges.tolist():
-        key = (tail, head) if tail < head else (head, tail)
-        balance[key] = balance.get(key, 0) + (1 if tail < head else -1)
-        uses[key] = uses.get(key, 0) + 1
-    return sum(1 for key, count in uses.items() if balance[key] != 0 or count % 2)
-
-
 def _chosen_geoms(model: mujoco.MjModel, body: int, of_arm: bool) -> list[int]:
     first = int(model.body_geomadr[body])
     geoms = list(range(first, first + int(model.body_geomnum[body])))
@@ -154,14 +133,6 @@ def _geom_fault(model: mujoco.MjModel, geom: int, name: str) -> str | None:
     if kind not in _MEASURABLE:
         allowed = "plane, sphere, capsule, ellipsoid, cylinder, box, mesh"
         return f"geom '{name}': distances to type {_GEOM(kind).name} are unknown; use {allowed}"
-    if kind == int(_GEOM.mjGEOM_MESH):
-        mesh = int(model.geom_dataid[geom])
-        loose = open_edges(model, mesh)
-        if loose:
-            return (
-                f"mesh '{model.mesh(mesh).name}' of geom '{name}': {loose} edges are not shared "
-                "by two faces; the surface must be closed"
-            )
     return None
 
 

@@ -25,6 +25,10 @@ from workcell.guard.settings import Exemption, Held
 # Neighbouring housings of an arm overlap by design up to two joints apart (their hubs and forks
 # enclose one another, and joint limits keep them from meeting); from three on they can meet.
 FAR_JOINTS = 3
+# Poses within the joint ranges, beside home, in which parts of one arm are looked at.
+SAMPLES = 100
+# Where a joint has no range, poses are drawn from this to either side, rad or m.
+UNLIMITED = np.pi
 # An arm's base stands on whatever its own geometry comes this near to, m. Chosen for a base
 # plate modelled a few millimetres above its table, and far below any gap a tool is led through.
 STANDING_M = 0.005
@@ -40,6 +44,8 @@ class LeftOut:
     """Name of the other body, or of the one geom of it that this is about."""
     reason: str
     """Why."""
+    by_name: bool = False
+    """Whether the two could move against one another, so that a reader should know them by name."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,7 @@ def choose_pairs(
     exemptions: tuple[Exemption, ...] = (),
     instruments: tuple[Held, ...] = (),
     hands: tuple[tuple[str, ...], ...] = (),
+    home: tuple[float, ...] = (),
 ) -> PairTable:
     """Decides every pair of bodies once.
 
@@ -78,6 +85,8 @@ def choose_pairs(
         exemptions: Pairs that may meet in a window.
         instruments: Loose bodies that arms can hold.
         hands: For each arm, the bodies that touch what it holds.
+        home: (nq,) positions of all joints at the start; empty for the model's own zero pose,
+            brought into the joint ranges.
 
     Raises:
         InputError: If an exemption, instrument or hand names a geom or body that no piece has, or
@@ -89,17 +98,23 @@ def choose_pairs(
     of_body: dict[int, list[int]] = {}
     for index, piece in enumerate(pieces):
         of_body.setdefault(piece.body, []).append(index)
-    reference = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, reference)
-    standing = _standing_on(model, reference, pieces, arms)
+    poses = _poses(model, home)
+    standing = _standing_on(model, poses[0], pieces, arms)
 
     watched = np.zeros((len(pieces), len(pieces)), dtype=bool)
     left_out: list[LeftOut] = []
     for body_i, body_j in combinations(sorted(of_body), 2):
         first_i, first_j = pieces[of_body[body_i][0]], pieces[of_body[body_j][0]]
-        reason = _reason_to_leave_out(model, reference, pieces, owners, of_body, body_i, body_j)
+        reason = _reason_to_leave_out(model, poses, pieces, owners, of_body, body_i, body_j)
         if reason:
-            left_out.append(LeftOut(first_i.body_name, first_j.body_name, reason))
+            left_out.append(
+                LeftOut(
+                    first_i.body_name,
+                    first_j.body_name,
+                    reason,
+                    "design" in reason or "model excludes" in reason,
+                )
+            )
             continue
         for i in of_body[body_i]:
             for j in of_body[body_j]:
@@ -109,7 +124,7 @@ def choose_pairs(
         watched[index, support] = watched[support, index] = False
     reason = "the first moving link turns next to what its base stands on"
     for body_name, name in sorted({(pieces[i].body_name, pieces[k].name) for i, k in let_off}):
-        left_out.append(LeftOut(body_name, name, reason))
+        left_out.append(LeftOut(body_name, name, reason, by_name=True))
     for index, support in resting:
         watched[index, support] = watched[support, index] = False
         reason = "the instrument lies on it"
@@ -133,7 +148,7 @@ def joints_between(model: mujoco.MjModel, body_i: int, body_j: int) -> int:
 
 def _reason_to_leave_out(
     model: mujoco.MjModel,
-    reference: mujoco.MjData,
+    poses: list[mujoco.MjData],
     pieces: tuple[Piece, ...],
     movable: tuple[str, ...],
     of_body: dict[int, list[int]],
@@ -152,13 +167,47 @@ def _reason_to_leave_out(
     joints = joints_between(model, body_i, body_j)
     if joints < FAR_JOINTS:
         return f"same arm, only {joints} joint{'s' * (joints > 1)} apart"
-    if any(
-        mujoco.mj_geomDistance(model, reference, pieces[i].geom, pieces[j].geom, 1.0, None) <= 0.0
-        for i in of_body[body_i]
-        for j in of_body[body_j]
-    ):
-        return "same arm, and overlapping already in the model's reference pose, thus by design"
+    # What overlaps at home but not everywhere could collide: it is watched, and stops at the start.
+    if all(_overlap(model, pose, pieces, of_body[body_i], of_body[body_j]) for pose in poses):
+        return f"same arm, and overlapping at home and in all of {SAMPLES} poses within the joint ranges, thus by design"
     return None
+
+
+def _poses(model: mujoco.MjModel, home: tuple[float, ...]) -> list[mujoco.MjData]:
+    """Home, then seeded random poses within the ranges of hinges and slides; other joints stay at home."""
+    start = np.array(home) if home else model.qpos0.copy()
+    single = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
+    addresses = model.jnt_qposadr[single]
+    limited = model.jnt_limited[single].astype(bool)
+    lower = np.where(limited, model.jnt_range[single, 0], -UNLIMITED)
+    upper = np.where(limited, model.jnt_range[single, 1], UNLIMITED)
+    if not home:
+        start[addresses] = np.clip(start[addresses], lower, upper)
+    rng = np.random.default_rng(0)
+    poses = []
+    for k in range(1 + SAMPLES):
+        data = mujoco.MjData(model)
+        data.qpos[:] = start
+        if k:
+            data.qpos[addresses] = rng.uniform(lower, upper)
+        mujoco.mj_kinematics(model, data)
+        poses.append(data)
+    return poses
+
+
+def _overlap(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    pieces: tuple[Piece, ...],
+    first: list[int],
+    second: list[int],
+) -> bool:
+    """Whether any piece of one body is inside a piece of the other."""
+    return any(
+        mujoco.mj_geomDistance(model, data, pieces[i].geom, pieces[j].geom, 1.0, None) <= 0.0
+        for i in first
+        for j in second
+    )
 
 
 def _standing_on(

@@ -115,6 +115,8 @@ class CheckSettings:
     """Loose bodies that arms can hold."""
     hands: tuple[tuple[str, ...], ...] = ()
     """For each of `arms`, the bodies that touch what it holds; needed if there are instruments."""
+    home: tuple[float, ...] = ()
+    """(nq,) positions of all joints at the start, which decide with others what overlaps by design."""
     release_s: float = 60.0
     """Longest time after it has given an instrument away that a hand may still touch it, s of
     simulated time; it ends as soon as the two are clear. Chosen longer than any retreat."""
@@ -191,6 +193,7 @@ class CheckSettings:
         """Inverse of `to_json`."""
         fields = json.loads(text)
         fields["arms"] = tuple(fields["arms"])
+        fields["home"] = tuple(fields["home"])
         exemptions = []
         for item in fields["exemptions"]:
             sides = {side: tuple(item.pop(side)) for side in ("geoms_i", "geoms_j")}
