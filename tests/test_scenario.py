@@ -196,16 +196,10 @@ SERVO = "<actuator><position joint='J' kp='10' kv='1'/></actuator>"
             "",
             ("'J'", "ball", "hinge and slide"),
         ),
-        (LINK.format(HINGE, SITE), "", ("J", "0 actuators", "exactly one")),
         (
             LINK.format(HINGE, SITE),
             "<actuator><motor joint='J'/></actuator>",
             ("neither a position nor a velocity servo",),
-        ),
-        (
-            LINK.format(HINGE, SITE),
-            SERVO + "<keyframe><key qpos='0'/></keyframe>",
-            ("keyframe",),
         ),
     ],
 )

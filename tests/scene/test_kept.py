@@ -19,7 +19,7 @@ from tests.scene.test_addresses import own_model
 from tests.scene.test_compose import mixed
 from workcell import assets, scenario
 from workcell.errors import InputError
-from workcell.scene import arm_file, compose, pairs
+from workcell.scene import arm_file, arm_part, compose, pairs
 from workcell.scene import cell as scene
 from workcell.scene.addresses import arm_addresses, instrument_addresses
 from workcell.scene.pairs import APART_M, FEW_SAMPLES, SAMPLES
@@ -175,7 +175,7 @@ def test_a_refused_file_is_refused_each_time_with_the_same_words(tmp_path, repla
 def test_what_is_kept_is_bounded(tmp_path):
     for k in range(2 * arm_file.KEPT):
         cells.build(tmp_path, own_model(tmp_path, {"372": str(372 + k)}))
-    for kept in (arm_file._read, compose._form, compose._skeleton):
+    for kept in (arm_file._read, arm_part._prepared, compose._skeleton):
         assert kept.cache_info().currsize <= arm_file.KEPT
     assert len(pairs._self_extremes) <= pairs._KEPT
 
@@ -202,7 +202,7 @@ def test_self_pairs_do_not_depend_on_what_was_prepared_before(tmp_path):
 def test_what_is_resolved_in_the_preview_holds_in_the_scene(tmp_path):
     asked = scenario.load("give_instrument")
     cell = scene.build(asked, tmp_path)
-    assert repr(arm_addresses(cell.model, asked)) == repr(cell.arms)
+    assert repr(arm_addresses(cell.model, asked, compose.compose(asked).arms)) == repr(cell.arms)
     assert instrument_addresses(cell.model, asked) == cell.instruments
     preview = compose.preview(compose.compose(asked))
     for field in ("geom_size", "geom_pos", "body_pos", "body_inertia", "jnt_range", "site_pos"):

@@ -26,7 +26,7 @@ LEG = """
   <worldbody>
     <body name="foot" {foot}>
       <geom name="foot_post" class="thin" type="cylinder" fromto="0 0 0 0 0 0.3" size="0.04" mass="2"/>
-      <geom name="foot_capsule" type="capsule" group="4" fromto="0 0 0.03 0 0 0.25" size="0.06" mass="0"/>
+      <geom name="foot_capsule" type="capsule" group="4" fromto="0 0 0.03 0 0 0.27" size="0.06" mass="0"/>
       <body name="thigh" pos="0 0 0.3" {thigh}>
         <joint name="hip" axis="0 0 1" {range} damping="0.5" armature="0.1" {joint}/>
         <geom name="thigh_beam" class="thin" type="box" pos="0.15 0 0" size="0.15 0.02 0.02" mass="1.5"/>
@@ -46,19 +46,24 @@ LEG = """
     <position name="hip" joint="hip" kp="900" kv="30"/>
     <position name="knee" joint="knee" kp="300" kv="12"/>
   </actuator>
+  <custom>{limits}</custom>
   {tail}
 </mujoco>
 """
+LIMITS = (
+    '<numeric name="joint_velocity_limit_rad_s" data="2 2"/>'
+    '<numeric name="joint_acceleration_limit_rad_s2" data="4 4"/>'
+)
 _PARTS = ("head", "assets", "foot", "thigh", "joint", "more", "world", "tail")
 _TETRAHEDRON = "0 0 0 0.1 0 0 0 0.1 0 0 0 0.1"
 
 
 def leg(folder: Path, name: str = "leg.xml", **parts: str) -> Path:
     """Write an arm of two joints with something of its own."""
-    parts = {"range": 'range="-120 120"'} | dict.fromkeys(_PARTS, "") | parts
+    defaults = {"range": 'range="-120 120"', "limits": LIMITS} | dict.fromkeys(_PARTS, "")
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / name
-    path.write_text(LEG.format(**parts))
+    path.write_text(LEG.format(**defaults | parts))
     return path
 
 
@@ -237,7 +242,7 @@ REFUSED = {
     "joint 'loose' is of type free": {
         "world": '<body name="cup"><freejoint name="loose"/><geom size="0.01"/></body>'
     },
-    "MuJoCo cannot compile it": {"more": "<no_such_thing/>"},
+    "is not a readable MJCF file": {"more": "<no_such_thing/>"},
 }
 
 

@@ -12,7 +12,7 @@ from tests import cells
 from tests.scene.test_compose import mixed
 from workcell import assets, scenario
 from workcell.scene import cell as scene
-from workcell.scene.addresses import WATCHED_GROUP
+from workcell.scene.coverage import WATCHED_GROUP
 from workcell.scene.pairs import APART_M
 
 

@@ -25,19 +25,19 @@ def list_() -> int:
 def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
     """Check a scenario without running it: the file, the cell, the start, reach, room to brake, and the final check's geometry."""
     from workcell import run as runner
-    from workcell.guard.check_setup import try_checker
+    from workcell.guard.check_setup import left_out, try_checker
     from workcell.scene.compose import SCENE_FILE
 
     loaded = scenario_file.load(scenario, set)
     with tempfile.TemporaryDirectory() as folder:
         cell = runner.prepare(loaded, Path(folder))
-        checked = "off"
+        checked, not_checked = "off", []
         if loaded.check.enabled:
-            table = try_checker(cell, Path(folder) / SCENE_FILE).table
-            checked = f"{table.count} pairs of pieces"
+            checker = try_checker(cell, Path(folder) / SCENE_FILE)
+            checked, not_checked = f"{checker.table.count} pairs of pieces", left_out(checker)
     stdout.print(
         f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
     )
-    for note in cell.notes:
+    for note in (*cell.notes, *not_checked):
         stdout.print(note, markup=False)
     return OK

@@ -33,6 +33,9 @@ REACHED_RAD = 1e-2
 LAG_M = 0.02
 """A path's speed is one that can be followed while the tool stays this near: farther away the controller itself counts
 an arm as off its path (REJOIN_M)."""
+TASK_DIRECTIONS = 6
+"""Three of position and three of orientation."""
+_NUMERALS = ("no", "one", "two", "three", "four", "five")
 _STEP_M = 0.02
 _STEP_S = 0.02
 _ITERATIONS = 30
@@ -97,9 +100,21 @@ def _out_of_reach(
                 yield (
                     f"arm.{arm.name}.{key}: out of reach at ({at}) m, {s_m:.2f} of {geometry.length_m:.2f} m along the path: "
                     f"the tool stays {np.linalg.norm(error[:3]):.3f} m and {np.linalg.norm(error[3:]):.3f} rad away"
+                    + _too_few_joints(addresses)
                 )
                 return
         position, wxyz = geometry.pose(geometry.length_m)
+
+
+def _too_few_joints(addresses: ArmAddresses) -> str:
+    """What an arm of fewer than six joints cannot help."""
+    joints = len(addresses.joints)
+    if joints >= TASK_DIRECTIONS:
+        return ""
+    return (
+        f"; the task has six directions, the arm {_NUMERALS[joints]} joint{'s' * (joints > 1)}: "
+        "only poses on the way that its joints allow can be followed"
+    )
 
 
 def _waypoint_lists(arm: scenario.Arm) -> Iterator[tuple[str, tuple[scenario.Waypoint, ...]]]:
@@ -253,10 +268,13 @@ def _no_room_to_brake(
         other.operator is not None and not isinstance(other.operator, scenario.Hold)
         for other in cell.scenario.arm
     )
+    deceleration = braking_deceleration_m_s2(cell, addresses, belief)
+    if np.isinf(deceleration):  # No joint moves the tool's point: there is nothing to brake.
+        return
     needed = smallest_t_min(
         cell.period_s + control.reaction_s,
         speed,
-        braking_deceleration_m_s2(cell, addresses, belief),
+        deceleration,
         other_keeps_coming=others_move,
     )
     if control.t_min_s < needed:

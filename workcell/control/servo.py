@@ -43,6 +43,10 @@ class ServoCommand:
         Returns:
             Whether a reference had lost its joint and was led back.
         """
+        if (
+            not self._actuators.size
+        ):  # An arm that is only moved kinematically may have no actuators.
+            return False
         if self._reference is None:
             self._reference = q_rad.copy()
         wanted = self._reference = self._reference + command_rad_s * self._dt_s

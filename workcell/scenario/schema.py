@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import tomli_w
-from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from workcell.scenario.checks import fits_together
 from workcell.scenario.jobs import Job
@@ -74,7 +74,13 @@ class Arm(Table):
     model: str
     base_position_m: Vector3 = (0.0, 0.0, 0.0)
     base_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    home_rad: Annotated[tuple[Finite, ...], Field(min_length=1)]
+    home_rad: Annotated[
+        Annotated[tuple[Finite, ...], Field(min_length=1), Tag("joints")]
+        | Annotated[str, Field(pattern=r"^key:.+$"), Tag("keyframe")],
+        Discriminator(lambda value: "keyframe" if isinstance(value, str) else "joints"),
+    ]
+    locked: dict[str, Finite] = Field(default_factory=dict)
+    allow_bare_housing: bool = False
     tool_site: str = "tool"
     elbow_site: str | None = None
     priority: Annotated[int, Field(ge=0)] = 0
@@ -92,7 +98,9 @@ class Arm(Table):
             )
         for key in ("velocity_limit_rad_s", "acceleration_limit_rad_s2"):
             limits = getattr(self, key)
-            if limits is not None and len(limits) != len(self.home_rad):
+            if isinstance(self.home_rad, str) or limits is None:
+                continue
+            if len(limits) != len(self.home_rad):
                 raise ValueError(
                     f"{key} has {len(limits)} entries, home_rad has {len(self.home_rad)}: one a joint is needed"
                 )

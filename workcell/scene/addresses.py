@@ -6,6 +6,7 @@ construction, and fails here.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -14,11 +15,9 @@ from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.scenario import Arm, Scenario
-
-WATCHED_GROUP = 4
-"""Geom group of the watched capsules."""
-HOUSING_GROUP = 2
-"""Geom group of the housings: what is drawn, and what the final check holds apart."""
+from workcell.scene.arm_file import ACCELERATION_LIMIT_NUMERIC, VELOCITY_LIMIT_NUMERIC, plain
+from workcell.scene.arm_part import ArmPart
+from workcell.scene.servos import Servo, acting_on, servo_of
 
 DEFAULT_VELOCITY_LIMIT_RAD_S = 1.0
 """For arm files that name no limit: chosen slow, as the PA10's slowest joints."""
@@ -51,18 +50,9 @@ class ArmAddresses:
     geoms: tuple[int, ...]
     """Watched geoms of the arm."""
     servos: tuple[Servo, ...]
-    """One a joint, in joint order."""
-
-
-@dataclass(frozen=True)
-class Servo:
-    """How one joint's actuator takes a velocity command."""
-
-    actuator: int
-    kind: str
-    """'position': force = kp (ctrl - q) - kv q̇.  'velocity': force = kv (ctrl - q̇)."""
-    lead_s: float
-    """kv / kp of a position servo: ctrl = q_ref + lead q̇_ref cancels its velocity lag; 0 otherwise."""
+    """One a joint, in joint order; none for an arm that is only moved kinematically and has none."""
+    assumed: tuple[str, ...] = ()
+    """What neither scenario nor arm file states and is therefore assumed, a sentence each."""
 
 
 @dataclass(frozen=True)
@@ -105,13 +95,21 @@ def instrument_addresses(
     )
 
 
-def arm_addresses(model: mujoco.MjModel, scenario: Scenario) -> tuple[ArmAddresses, ...]:
-    """Resolve all arms of the scenario, in the order of the scenario file."""
+def arm_addresses(
+    model: mujoco.MjModel, scenario: Scenario, parts: Sequence[ArmPart]
+) -> tuple[ArmAddresses, ...]:
+    """Resolve all arms of the scenario, in the order of the scenario file.
+
+    Args:
+        model: The composed scene.
+        scenario: Whose arms.
+        parts: What was attached for each of them.
+    """
     faults: list[str] = []
     arms: list[ArmAddresses] = []
-    for arm in scenario.arm:
+    for arm, part in zip(scenario.arm, parts, strict=True):
         try:
-            arms.append(_resolve(model, arm))
+            arms.append(_resolve(model, arm, part, scenario.simulation.plant == "dynamic"))
         except InputError as error:
             faults += error.faults
     if faults:
@@ -125,39 +123,58 @@ def arm_of_geom(model: mujoco.MjModel, geom: int, arms: tuple[str, ...]) -> str 
     return owner if slash and owner in arms else None
 
 
-def watched_geoms(model: mujoco.MjModel, arm: str) -> list[int]:
-    """The arm's capsules (group 4); for an arm file without any, all of its geoms."""
-    own = [g for g in range(model.ngeom) if model.geom(g).name.startswith(f"{arm}/")]
-    return [g for g in own if model.geom_group[g] == WATCHED_GROUP] or own
-
-
-def _resolve(model: mujoco.MjModel, arm: Arm) -> ArmAddresses:
+def _resolve(model: mujoco.MjModel, arm: Arm, part: ArmPart, dynamic: bool) -> ArmAddresses:
     prefix = f"{arm.name}/"
-    joints = [j for j in range(model.njnt) if model.joint(j).name.startswith(prefix)]
+    names = tuple(prefix + part.file.joints[joint] for joint in part.driven)
+    joints = [model.joint(name).id for name in names]
     qpos = model.jnt_qposadr[joints].astype(np.intp)
     dofs = model.jnt_dofadr[joints].astype(np.intp)
     limited = model.jnt_limited[joints].astype(bool)
     lower = np.where(limited, model.jnt_range[joints, 0], -np.inf)
     upper = np.where(limited, model.jnt_range[joints, 1], np.inf)
-    home = np.array(arm.home_rad)
-    names = tuple(model.joint(j).name for j in joints)
+    home = part.home_rad
     faults = [
         f"arm.{arm.name}.home_rad.{k} = {home[k]:g}: joint {names[k]} allows {lower[k]:.4g} to {upper[k]:.4g} rad"
         for k in np.flatnonzero((home < lower) | (home > upper))
     ]
-    geoms = watched_geoms(model, arm.name)
-    if not geoms:
-        faults.append(f"arm.{arm.name}.model: has no named geoms to watch")
-    servos = []
-    for joint, name in zip(joints, names, strict=True):
-        servo = _servo(model, joint)
-        if isinstance(servo, str):
-            faults.append(f"arm.{arm.name}.model: joint {name}: {servo}")
-        else:
-            servos.append(servo)
+    if not part.watched:
+        faults.append(
+            f"arm.{arm.name}.model: has no geoms to watch; give its links capsules of group 4"
+        )
+    servos = [servo_of(model, joint) for joint in joints]
+    # A kinematic arm needs no actuators; what it has must be what the controller can command.
+    if dynamic or any(acting_on(model, joint) for joint in joints):
+        faults += _servo_faults(arm, names, servos)
+    limits, assumed = [], []
+    for quantity, numeric, override, default in (
+        (
+            "velocity_limit_rad_s",
+            VELOCITY_LIMIT_NUMERIC,
+            arm.velocity_limit_rad_s,
+            DEFAULT_VELOCITY_LIMIT_RAD_S,
+        ),
+        (
+            "acceleration_limit_rad_s2",
+            ACCELERATION_LIMIT_NUMERIC,
+            arm.acceleration_limit_rad_s2,
+            DEFAULT_ACCELERATION_LIMIT_RAD_S2,
+        ),
+    ):
+        try:
+            found = _limit(model, arm, part, quantity, numeric, override)
+        except InputError as error:
+            faults += error.faults
+            continue
+        if found is None:
+            found = np.full(len(names), default)
+            assumed.append(
+                f"arm.{arm.name}: neither {quantity} of the scenario nor {numeric} of the arm file is stated: {default:g} for every joint is assumed"
+            )
+        limits.append(found)
     if faults:
         raise InputError(faults)
-    elbow = None if arm.elbow_site is None else model.site(prefix + arm.elbow_site).id
+    velocity, acceleration = limits
+    elbow = None if arm.elbow_site is None else model.site(prefix + plain(arm.elbow_site)).id
     return ArmAddresses(
         name=arm.name,
         support=bool(arm.job),
@@ -168,42 +185,50 @@ def _resolve(model: mujoco.MjModel, arm: Arm) -> ArmAddresses:
         home_rad=home,
         lower_rad=lower,
         upper_rad=upper,
-        velocity_limit_rad_s=_limit(
-            model,
-            arm,
-            "joint_velocity_limit_rad_s",
-            arm.velocity_limit_rad_s,
-            DEFAULT_VELOCITY_LIMIT_RAD_S,
-        ),
-        acceleration_limit_rad_s2=_limit(
-            model,
-            arm,
-            "joint_acceleration_limit_rad_s2",
-            arm.acceleration_limit_rad_s2,
-            DEFAULT_ACCELERATION_LIMIT_RAD_S2,
-        ),
-        tool_site=model.site(prefix + arm.tool_site).id,
-        tool_site_name=prefix + arm.tool_site,
+        velocity_limit_rad_s=velocity,
+        acceleration_limit_rad_s2=acceleration,
+        tool_site=model.site(prefix + plain(arm.tool_site)).id,
+        tool_site_name=prefix + plain(arm.tool_site),
         elbow_site=elbow,
-        geoms=tuple(geoms),
-        servos=tuple(servos),
+        geoms=tuple(model.geom(prefix + name).id for name in part.watched),
+        servos=tuple(servo for servo in servos if not isinstance(servo, str)),
+        assumed=tuple(assumed),
     )
+
+
+def _servo_faults(arm: Arm, names: Sequence[str], servos: Sequence[Servo | str]) -> Iterator[str]:
+    """What the dynamic plant lacks, joints of one fault in one line."""
+    reasons: dict[str, list[str]] = {}
+    for name, servo in zip(names, servos, strict=True):
+        if isinstance(servo, str):
+            reasons.setdefault(servo, []).append(name)
+    for reason, joints in reasons.items():
+        yield (
+            f"arm.{arm.name}.model: {', '.join(joints)}: {reason}. Give each one <position joint=... kp=... kv=.../>; "
+            "an arm without any actuator can be run with simulation.plant = 'kinematic'"
+        )
 
 
 def _limit(
     model: mujoco.MjModel,
     arm: Arm,
+    part: ArmPart,
+    quantity: str,
     numeric: str,
     override: tuple[float, ...] | None,
-    default: float,
-) -> NDArray[np.float64]:
-    """A per-joint limit: the scenario's, else the arm file's `<numeric>`, else the default."""
-    n = len(arm.home_rad)
+) -> NDArray[np.float64] | None:
+    """A per-joint limit: the scenario's, else the arm file's `<numeric>`, else None."""
+    n = len(part.driven)
     if override is not None:
-        return np.array(override)
+        found = part.of_driven(override)
+        if len(found) != n:
+            raise InputError(
+                f"arm.{arm.name}.{quantity}: has {len(override)} entries; {n} are needed, one a driven joint"
+            )
+        return found
     identifier = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, f"{arm.name}/{numeric}")
     if identifier < 0:
-        return np.full(n, default)
+        return None
     start, size = model.numeric_adr[identifier], model.numeric_size[identifier]
     values = np.array(model.numeric_data[start : start + size])
     if size != n or not (np.isfinite(values).all() and (values > 0).all()):
@@ -211,31 +236,3 @@ def _limit(
             f"arm.{arm.name}.model: numeric {numeric} = {values.tolist()}: {n} positive values are needed, one a joint"
         )
     return values
-
-
-def _servo(model: mujoco.MjModel, joint: int) -> Servo | str:
-    """The joint's one position or velocity servo, or what is wrong."""
-    acting = [
-        a
-        for a in range(model.nu)
-        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
-        and model.actuator_trnid[a, 0] == joint
-    ]
-    if len(acting) != 1:
-        return (
-            f"is moved by {len(acting)} actuators; exactly one position or velocity servo is needed"
-        )
-    (actuator,) = acting
-    if model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_NONE:
-        return "its actuator has dynamics of its own (timeconst, an integrator); a plain position or velocity servo is needed"
-    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
-    if (
-        model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-        and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-        and model.actuator_gear[actuator, 0] == 1.0
-    ):
-        if gain[0] > 0 and bias[1] == -gain[0]:
-            return Servo(actuator, "position", -bias[2] / gain[0])
-        if gain[0] > 0 and bias[1] == 0 and bias[2] == -gain[0]:
-            return Servo(actuator, "velocity", 0.0)
-    return "its actuator is neither a position nor a velocity servo with gear 1"

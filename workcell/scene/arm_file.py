@@ -106,7 +106,7 @@ def _read(path: Path, digest: str) -> ArmFile:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:
         raise InputError(
-            f"MuJoCo cannot compile it: {str(error).strip()}; mend the file until `python -m mujoco.viewer --mjcf={path}` shows it"
+            f"is not a readable MJCF file: {str(error).strip()}; mend it until `python -m mujoco.viewer --mjcf={path}` shows it"
         ) from error
     faults = list(_not_carried(model))
     if faults:

@@ -43,7 +43,7 @@ class Cell:
     digest: str
     """SHA-256 of scene.xml."""
     notes: tuple[str, ...] = ()
-    """What of the arm files was not taken into the cell, a sentence each."""
+    """What of the arm files was not taken into the cell, what is held, bare or assumed, a sentence each."""
 
     @property
     def period_s(self) -> float:
@@ -87,7 +87,8 @@ def build(scenario: Scenario, folder: Path) -> Cell:
     # Sensors come last and change no number, so that what was resolved without them holds.
     for part in composed.arms:
         fidelity.compare(bare, part.name, part.file, part.form, part.home)
-    arms, instruments = arm_addresses(bare, scenario), instrument_addresses(bare, scenario)
+    arms = arm_addresses(bare, scenario, composed.arms)
+    instruments = instrument_addresses(bare, scenario)
     pairs = watched_pairs(bare, arms, instruments, arms_digest=composed.arms_digest)
     compose.add_sensors(composed, pairs.names, SENSOR_CUTOFF_M)
     model = compose.export(composed, folder)
@@ -101,7 +102,10 @@ def build(scenario: Scenario, folder: Path) -> Cell:
             [model.sensor(f"pair_{k}").adr[0] for k in range(len(pairs))], dtype=np.intp
         ),
         digest=hashlib.sha256((folder / compose.SCENE_FILE).read_bytes()).hexdigest(),
-        notes=tuple(note for part in composed.arms for note in part.notes),
+        notes=(
+            *(note for part in composed.arms for note in part.notes),
+            *(note for arm in arms for note in arm.assumed),
+        ),
     )
 
 

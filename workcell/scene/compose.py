@@ -19,23 +19,20 @@ from __future__ import annotations
 import copy
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 from lxml import etree  # comes with dm_control, whose trees are made of it
-from numpy.typing import NDArray
 
-from workcell import assets
 from workcell.errors import InputError
-from workcell.scenario import Arm, Instrument, Obstacle, Scenario
-from workcell.scene import arm_file
-from workcell.scene.arm_file import HINGE, KEPT, SLIDE, ArmFile, plain
-from workcell.scene.normal_form import NormalForm, normal_form
+from workcell.scenario import Instrument, Obstacle, Scenario
+from workcell.scene.arm_file import KEPT
+from workcell.scene.arm_part import ArmPart, arm_part
+from workcell.scene.normal_form import NormalForm
 
 with warnings.catch_warnings():
     # dm_control probes for a window system when imported; composing needs none.
@@ -76,7 +73,7 @@ def compose(scenario: Scenario) -> Scene:
     faults: list[str] = []
     for arm in scenario.arm:
         try:
-            parts.append(_part(arm, dynamic=scenario.simulation.plant == "dynamic"))
+            parts.append(arm_part(arm, scenario))
         except InputError as error:
             faults += error.faults
     if faults:
@@ -299,79 +296,6 @@ def _set(element: etree._Element, **numbers: Sequence[float]) -> None:
     """Set attributes with all digits, so that they are read back as they are."""
     for key, values in numbers.items():
         element.set(key, " ".join(f"{value:.17g}" for value in values))
-
-
-@dataclass(frozen=True, eq=False)
-class ArmPart:
-    """An arm of a cell before it is attached."""
-
-    name: str
-    file: ArmFile
-    """Its file, compiled alone."""
-    form: NormalForm
-    """What is attached."""
-    home: NDArray[np.float64]
-    """(nq,) home configuration of the file's model, driven or not."""
-
-    @property
-    def digest(self) -> str:
-        """Equal for arms of equal files that hold their undriven joints alike."""
-        return f"{self.file.digest} {hashlib.sha256(self.form.xml.encode()).hexdigest()}"
-
-    @property
-    def notes(self) -> Iterator[str]:
-        """What was not taken from the file, and which joints are held."""
-        for note in (*self.file.neutralised, *self.form.left_out):
-            yield f"arm.{self.name}: {self.file.path.name}: {note}"
-
-
-def _part(arm: Arm, *, dynamic: bool) -> ArmPart:
-    """An arm of the scenario; what cannot be driven is refused, all reasons at once."""
-    path = assets.model_file(arm.model) if arm.model in assets.model_names() else Path(arm.model)
-    key = f"arm.{arm.name}"
-    if not path.is_file():
-        raise InputError(
-            f"{key}.model = {arm.model!r}: no such arm file; allowed: a path to an MJCF file, or one of {', '.join(assets.model_names())}"
-        )
-    try:
-        file = arm_file.read(path)
-    except InputError as error:
-        raise InputError(
-            [f"{key}.model = {str(path)!r}: {fault}" for fault in error.faults]
-        ) from error
-    faults = [
-        f"{key}.model = {str(path)!r}: joint {name!r} is of type {kind}; allowed are hinge and slide"
-        for name, kind in zip(file.joints, file.kinds, strict=True)
-        if kind not in (HINGE, SLIDE)
-    ]
-    if not file.joints:
-        faults.append(
-            f"{key}.model = {str(path)!r}: has no joints; an arm needs at least one hinge or slide joint"
-        )
-    elif len(file.joints) != len(arm.home_rad):
-        faults.append(
-            f"{key}.home_rad: has {len(arm.home_rad)} entries, {path.name} has {len(file.joints)} joints ({', '.join(file.joints)})"
-        )
-    for site_key, site in (("tool_site", arm.tool_site), ("elbow_site", arm.elbow_site)):
-        if site is not None and plain(site) not in file.sites:
-            faults.append(
-                f"{key}.{site_key} = {site!r}: no such site in {path.name}; allowed: {', '.join(file.sites) or 'it has no sites'}"
-            )
-    if faults:
-        raise InputError(faults)
-    driven = tuple(range(len(file.joints)))
-    try:
-        form = _form(file, arm.home_rad, driven)
-    except InputError as error:
-        raise InputError(
-            [f"{key}.model = {str(path)!r}: {fault}" for fault in error.faults]
-        ) from error
-    return ArmPart(arm.name, file, form, np.array(arm.home_rad))
-
-
-@lru_cache(maxsize=KEPT)
-def _form(file: ArmFile, home: tuple[float, ...], driven: tuple[int, ...]) -> NormalForm:
-    return normal_form(file, np.array(home), driven)
 
 
 def _tree_of(form: NormalForm) -> mjcf.RootElement:

@@ -55,16 +55,13 @@ class NormalForm:
     """What was left out, beside what belongs to the cell: a sentence each."""
 
 
-def normal_form(
-    file: ArmFile, home: NDArray[np.float64], driven: Sequence[int], *, with_actuators: bool = True
-) -> NormalForm:
+def normal_form(file: ArmFile, home: NDArray[np.float64], driven: Sequence[int]) -> NormalForm:
     """Write the arm with only its driven joints.
 
     Args:
         file: The arm file, compiled alone.
         home: (nq,) configuration of all of its joints; what is not driven stays there.
         driven: Numbers of the joints that are driven.
-        with_actuators: False leaves out what would move the joints.
 
     Raises:
         InputError: something ties driven joints together (equality, tendon), or an actuator has a
@@ -74,7 +71,7 @@ def normal_form(
     faults = list(writer.ties())
     if faults:
         raise InputError(faults)
-    return writer.write(with_actuators)
+    return writer.write()
 
 
 class _Writer:
@@ -83,12 +80,12 @@ class _Writer:
     def __init__(self, file: ArmFile, home: NDArray[np.float64], driven: tuple[int, ...]) -> None:
         self.file, self.model, self.driven = file, file.model, driven
         self._home = home
-        self._rigid = _rigid_groups(self.model, driven)
+        self._rigid = rigid_links(self.model, driven)
         self._left_out: list[str] = []
         self._meshes: set[int] = set()
         self._materials: set[int] = set()
 
-    def write(self, with_actuators: bool) -> NormalForm:
+    def write(self) -> NormalForm:
         """The whole text."""
         root = etree.Element("mujoco", model="arm")
         etree.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -114,8 +111,7 @@ class _Writer:
                 new.set("file", f"mesh{mesh}.msh")
                 assets[f"mesh{mesh}.msh"] = _surface(self.model, mesh)
         self._excludes(root)
-        if with_actuators:
-            self._actuators(root)
+        self._actuators(root)
         self._numerics(root)
         if not len(asset):
             root.remove(asset)
@@ -333,7 +329,9 @@ class _Writer:
             start, size = model.numeric_adr[k], model.numeric_size[k]
             values = model.numeric_data[start : start + size]
             limits = name in (VELOCITY_LIMIT_NUMERIC, ACCELERATION_LIMIT_NUMERIC)
-            if limits and size == model.njnt:
+            if (
+                limits and size == model.njnt
+            ):  # else it speaks of driven joints alone, or is at fault
                 values = values[list(self.driven)]
             new = etree.SubElement(custom, "numeric", name=name)
             _set(new, data=values)
@@ -409,8 +407,8 @@ class _Writer:
         )
 
 
-def _rigid_groups(model: mujoco.MjModel, driven: Sequence[int]) -> list[int]:
-    """For every body the nearest body above that a driven joint moves, or itself: equal numbers never move apart."""
+def rigid_links(model: mujoco.MjModel, driven: Sequence[int]) -> list[int]:
+    """For every body the first body of the link it belongs to, 0 for what stands still; bodies of one link never move apart."""
     groups = [0] * model.nbody
     for body in range(1, model.nbody):
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
