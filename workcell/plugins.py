@@ -1,0 +1,219 @@
+"""What others bring: strategies, criteria, operators and devices, found by name.
+
+Built-in ones are listed here by the place they are loaded from. Others come from installed packages
+(entry points in the groups `workcell.strategies`, `workcell.criteria`, `workcell.operators` and
+`workcell.devices`) or from files named with `--plugin` on the command line. A scenario file only ever
+holds names: opening a stranger's scenario runs no stranger's code.
+
+A plug-in file is a Python file that sets one dictionary a kind: `STRATEGIES = {"mine": Mine}`, and so
+on for `CRITERIA`, `OPERATORS`, `DEVICES`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib.util
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from workcell.errors import InputError
+
+Kind = Literal["strategies", "criteria", "operators", "devices"]
+KINDS: tuple[Kind, ...] = ("strategies", "criteria", "operators", "devices")
+SINGULAR: dict[str, str] = {
+    "strategies": "strategy",
+    "criteria": "criterion",
+    "operators": "operator",
+    "devices": "device",
+}
+FILES_VARIABLE = "WORKCELL_PLUGINS"
+"""Environment variable with the files given by `--plugin`, so that the processes of a study have them too."""
+
+BUILT_IN: dict[Kind, dict[str, str]] = {
+    "strategies": {"ttc": "workcell.control.ttc_strategy:TtcStrategy"},
+    "criteria": {},
+    "operators": {},
+    "devices": {},
+}
+"""Names and where they are loaded from."""
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One thing that can be named in a scenario."""
+
+    kind: Kind
+    name: str
+    source: str
+    """`built in`, the distribution that brings it, or the file."""
+    version: str
+    """Of the distribution, or a hash of the file; empty for what is built in."""
+    target: str
+    """`module:attribute`, or the file."""
+
+
+def known(kind: Kind) -> dict[str, Plugin]:
+    """All plug-ins of a kind by their name; nothing of theirs is imported, but for files that were named by hand.
+
+    Raises:
+        InputError: Two of them have one name.
+    """
+    found = {
+        name: Plugin(kind, name, "built in", "", target) for name, target in BUILT_IN[kind].items()
+    }
+    for plugin in [*_installed(kind), *_of_files(kind)]:
+        other = found.get(plugin.name)
+        if other is not None:
+            raise InputError(
+                f"{SINGULAR[kind]} {plugin.name!r} is brought twice: by {other.source} and by {plugin.source}"
+            )
+        found[plugin.name] = plugin
+    return found
+
+
+def load(kind: Kind, name: str) -> Any:
+    """What stands behind a name.
+
+    Raises:
+        InputError: There is no such plug-in, or it cannot be imported; the message names it.
+    """
+    plugin = find(kind, name)
+    try:
+        if plugin.target in files():
+            return _file(plugin.target)[kind][name]
+        return EntryPoint(name, plugin.target, f"workcell.{kind}").load()
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{SINGULAR[kind]} {name!r} ({plugin.source}) cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+
+
+def find(kind: Kind, name: str) -> Plugin:
+    """A plug-in by its name.
+
+    Raises:
+        InputError: There is none; the message has the names there are.
+    """
+    there = known(kind)
+    if name in there:
+        return there[name]
+    near = difflib.get_close_matches(name, there, n=1)
+    hint = f", did you mean {near[0]!r}?" if near else ";"
+    raise InputError(
+        f"unknown {SINGULAR[kind]} {name!r}{hint} known here: {', '.join(sorted(there)) or 'none'}"
+    )
+
+
+def options(kind: Kind, name: str, given: Mapping[str, Any]) -> Any:
+    """Options of a plug-in, validated by the model that it brings as its attribute `Options` (pydantic).
+
+    Args:
+        kind, name: Which plug-in.
+        given: The table of the scenario.
+
+    Returns:
+        The model's instance; None for a plug-in without options.
+
+    Raises:
+        InputError: A key is unknown or a value is not allowed.
+    """
+    model = getattr(load(kind, name), "Options", None)
+    if model is None:
+        if given:
+            raise InputError(
+                f"{SINGULAR[kind]}.{name}: takes no options; given {', '.join(sorted(given))}"
+            )
+        return None
+    try:
+        return model(**given)
+    except ValidationError as error:
+        raise InputError(
+            [
+                f"{SINGULAR[kind]}.{name}.{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
+                for fault in error.errors()
+            ]
+        ) from error
+
+
+def use_files(paths: Iterable[Path | str]) -> None:
+    """Take plug-in files into this process and the processes it starts.
+
+    Raises:
+        InputError: A file is missing, cannot be run, or sets none of the dictionaries.
+    """
+    for path in paths:
+        file = Path(path).resolve()
+        if not file.is_file():
+            raise InputError(f"--plugin {path}: no such file")
+        if str(file) not in files():
+            os.environ[FILES_VARIABLE] = os.pathsep.join([*files(), str(file)])
+        _file(str(file))
+
+
+def files() -> list[str]:
+    """The plug-in files in use."""
+    return [file for file in os.environ.get(FILES_VARIABLE, "").split(os.pathsep) if file]
+
+
+def versions(used: Iterable[tuple[Kind, str]]) -> dict[str, str]:
+    """Versions of the plug-ins that a scenario uses, built-in ones apart: for the trace.
+
+    Args:
+        used: Kinds and names.
+    """
+    found = [find(kind, name) for kind, name in used]
+    return {
+        f"{SINGULAR[plugin.kind]} {plugin.name}": f"{Path(plugin.source).name} {plugin.version}"
+        for plugin in found
+        if plugin.source != "built in"
+    }
+
+
+def _installed(kind: Kind) -> list[Plugin]:
+    plugins = []
+    for point in entry_points(group=f"workcell.{kind}"):
+        distribution = point.dist
+        source = "an installed package" if distribution is None else distribution.name
+        version = "" if distribution is None else distribution.version
+        plugins.append(Plugin(kind, point.name, source, version, point.value))
+    return plugins
+
+
+def _of_files(kind: Kind) -> list[Plugin]:
+    return [
+        Plugin(kind, name, file, hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12], file)
+        for file in files()
+        for name in _file(file)[kind]
+    ]
+
+
+@cache
+def _file(path: str) -> dict[str, dict[str, Any]]:
+    """Run a plug-in file once and take its dictionaries."""
+    name = f"workcell_plugin_{hashlib.sha256(path.encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"--plugin {path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"--plugin {path}: {type(error).__name__}: {error}") from error
+    found = {kind: getattr(module, kind.upper(), {}) for kind in KINDS}
+    if not any(found.values()):
+        raise InputError(
+            f"--plugin {path}: sets none of {', '.join(kind.upper() for kind in KINDS)}; each is a dictionary from name to class"
+        )
+    return found
