@@ -20,7 +20,7 @@ import mujoco
 
 from workcell.control import feasible
 from workcell.control.controller import Controller
-from workcell.errors import ControlFault, InputError
+from workcell.errors import ControlFault, InputError, TraceError
 from workcell.guard.check_setup import check_settings, refusal, without_geometry
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.supervisor import LatchedCheck
@@ -209,7 +209,7 @@ def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
     (out / SUMMARY_FILE).write_text(
         json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
     )
-    view.record(trace, out / SCENE_FOLDER / SCENE_FILE, out / RECORDING_FILE)
+    view.record(trace, out / SCENE_FOLDER / SCENE_FILE, out / RECORDING_FILE, summary=summary)
     return summary
 
 
@@ -217,10 +217,25 @@ def rebuild_recording(out: Path) -> Path:
     """The recording of a run folder, derived anew where it is missing or from another rerun version."""
     from workcell.view import recording as view
 
-    recording, trace = out / RECORDING_FILE, load(out)
-    if not recording.is_file() or not view.is_current(recording, trace):
-        view.record(trace, out / SCENE_FOLDER / SCENE_FILE, recording)
+    recording, trace, summary = out / RECORDING_FILE, load(out), read_summary(out)
+    if not view.is_current(recording, trace, summary=summary):
+        view.record(trace, out / SCENE_FOLDER / SCENE_FILE, recording, summary=summary)
     return recording
+
+
+def read_summary(out: Path) -> dict | None:
+    """The summary of a run folder; None where the run was killed before it was written.
+
+    Raises:
+        TraceError: it cannot be read.
+    """
+    path = out / SUMMARY_FILE
+    if not path.is_file():
+        return None
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise TraceError(f"{path}: is damaged: {error}") from error
 
 
 def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:

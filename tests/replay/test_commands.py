@@ -34,10 +34,10 @@ def said(text):
 
 def test_compare_answers_by_its_exit_status(duet, other, tmp_path, capsys):
     run = shutil.copytree(duet.trace.source.parent, tmp_path / "run")
-    assert main(["compare", str(run), str(duet.trace.source)]) == 0
+    assert main(["compare", str(run), str(duet.trace.source), "--ticks"]) == 0
     assert "same over 250 compared ticks" in capsys.readouterr().out
     assert main(["compare", str(run), str(duet.references / "duet")]) == 0
-    assert main(["compare", str(run), str(other)]) == 2
+    assert main(["compare", str(run), str(other), "--ticks"]) == 2
     assert "control.t_min_s 1.0 | 1.5" in said(capsys.readouterr().out)
     assert main(["compare", str(run), str(tmp_path)]) == 2
     assert main(["compare", str(run), str(other), "--other-settings", "--plot"]) == 1
@@ -47,6 +47,18 @@ def test_compare_answers_by_its_exit_status(duet, other, tmp_path, capsys):
     everything = (run / "comparison.txt").read_text()
     assert "wanted_rad_s" in everything
     assert len(everything) > len(out) / 2
+
+
+def test_compare_says_in_words_what_differs(duet, other, capsys):
+    """The other run has another t_min and 2 s instead of 5 s: both are named, and what they do."""
+    assert main(["compare", str(other), str(duet.trace.source)]) == 1
+    out = capsys.readouterr().out
+    assert all(len(line) <= 80 for line in out.splitlines())
+    words = said(out)
+    assert "control.t_min_s 1.5 1.0" in words
+    assert "run 2 s 5 s 3 s shorter" in words
+    assert main(["compare", str(duet.trace.source), str(duet.trace.source)]) == 0
+    assert "no difference that a person would notice" in said(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("loop", ["--open-loop", "--closed-loop"])

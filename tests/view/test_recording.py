@@ -64,6 +64,39 @@ def test_every_change_of_mode_is_an_event(run, content):
     assert "nurse: held back by ttc (surgeon/link2_capsule and nurse/link3_capsule)" in said
 
 
+def test_target_trail_and_path_ahead_are_drawn(run, content):
+    trace = run.trace
+    tool, target = (
+        trace[f"nurse.{name}_position_m"].astype(np.float32) for name in ("tool", "target")
+    )
+    positions = np.array(content["/world/nurse/target"]["Points3D:positions"]).reshape(-1, 3)
+    np.testing.assert_array_equal(positions, target[::5])
+    every = 25  # rows of 4 ms in a tenth of a second
+    for name, wanted, end in (("trail", tool, -1), ("path_ahead", target, 0)):
+        strips = [strip for (strip,) in content[f"/world/nurse/{name}"]["LineStrips3D:strips"]]
+        assert len(strips) == len(trace) / every
+        np.testing.assert_array_equal([s[end] for s in strips], wanted[::every])
+    ahead = np.array(strips[0])
+    np.testing.assert_array_equal(ahead[20], target[20 * 12])
+
+
+def test_the_verdict_is_in_the_recording(run, tmp_path):
+    expectations = {"contact": {"wanted": "false", "measured": "true", "held": False}}
+    summary = {
+        "scenario": "two arms",
+        "held": False,
+        "expectations": expectations,
+        "metrics": {"fault": None, "smallest_distance_m": 0.0123},
+    }
+    made = view.record(run.trace, run.scene, tmp_path / "r.rrd", summary=summary)
+    store = RrdReader(str(made)).stream().filter(content="/verdict")
+    (text,) = [str(chunk.to_record_batch().to_pydict()) for chunk in store]
+    assert "not as expected: contact" in text
+    assert "smallest distance: 0.0123 m" in text
+    assert view.is_current(made, run.trace, summary=summary)
+    assert not view.is_current(made, run.trace, summary=summary | {"held": True})
+
+
 def test_a_recording_knows_what_it_was_made_of(run, recording, tmp_path, monkeypatch):
     assert view.is_current(recording, run.trace)
     other = dataclasses.replace(run.trace, rows=run.trace.table.slice(1))
@@ -95,7 +128,7 @@ def test_misfits_are_refused(run, tmp_path):
 @pytest.mark.parametrize("web", [False, True])
 def test_the_viewer_listens_to_this_machine_only(recording, monkeypatch, web):
     started = []
-    monkeypatch.setattr(viewer.subprocess, "Popen", started.append)
+    monkeypatch.setattr(viewer.subprocess, "Popen", lambda command, **_: started.append(command))
     viewer.open_viewer(recording, web=web)
     command = started[0]
     assert command[command.index("--bind") + 1] == "127.0.0.1"

@@ -14,13 +14,14 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from workcell.cli.terminal import stderr, stdout
+from workcell.cli.terminal import narrow, stderr, stdout
 from workcell.errors import InputError
 
 if TYPE_CHECKING:
     from workcell.regression.compare import Comparison
     from workcell.regression.excerpt import Excerpt
     from workcell.regression.reference import MetricChange
+    from workcell.trace.table import Trace
 
 SAME, DIFFERS, NOT_COMPARABLE = 0, 1, 2
 SHOWN = 8
@@ -44,6 +45,10 @@ def compare(
         tyro.conf.arg(metavar="REFERENCE", help="a run folder, a trace, or a folder `bless` made"),
     ],
     /,
+    ticks: Annotated[
+        bool,
+        tyro.conf.arg(help="tick by tick instead: where they part, and which quantity moved first"),
+    ] = False,
     plot: Annotated[bool, tyro.conf.arg(help="draw what differs into comparison.png")] = False,
     rerun: Annotated[bool, tyro.conf.arg(help="open both in one recording in the viewer")] = False,
     other_settings: Annotated[
@@ -53,13 +58,15 @@ def compare(
         bool, tyro.conf.arg(help="tolerances for two closed loops on different machines")
     ] = False,
 ) -> int:
-    """Compare a run with a reference: where they part, which quantity moved first, by how much. Exit status 0 same, 1 differs, 2 not comparable."""
+    """Say in words what a run does differently from another: later, nearer, more waits. With --ticks (and for references): where they part. Exit status 0 same, 1 differs, 2 not comparable."""
     from workcell.regression import reference as regression
     from workcell.regression.compare import compare as compare_excerpts
     from workcell.regression.excerpt import excerpt
     from workcell.trace.table import load
 
     mine, changes = load(run), None
+    if not (ticks or plot or rerun or other_settings or wide or regression.is_reference(reference)):
+        return _in_words(mine, load(reference))
     if regression.is_reference(reference):
         kept = regression.load(reference)
         theirs, wide = kept.rows("closed"), True
@@ -75,6 +82,41 @@ def compare(
         return NOT_COMPARABLE
     _show(excerpt(mine), theirs, result, folder, plot=plot, rerun=rerun)
     return SAME if result.kind == "same" and not changes else DIFFERS
+
+
+def _in_words(run: Trace, reference: Trace) -> int:
+    """Print what a person would ask of two runs; 1 if anything is told."""
+    from workcell.regression.words import compare_in_words
+
+    words = compare_in_words(run, reference)
+    if words.settings:
+        table = Table("parameter", "run", "reference", box=None, padding=(0, 1))
+        for change in words.settings[:SHOWN]:
+            table.add_row(change.key, _value(change.run), _value(change.reference))
+        narrow.print(table)
+        if len(words.settings) > SHOWN:
+            narrow.print(f"... and {len(words.settings) - SHOWN} parameters more")
+        narrow.print()
+    table = Table(box=None, padding=(0, 1))
+    table.add_column("quantity")
+    table.add_column("run", justify="right")
+    table.add_column("reference", justify="right")
+    table.add_column("difference")
+    for figure in words.figures:
+        a, b = (
+            "none" if x is None else f"{x:.4g} {figure.unit}".strip()
+            for x in (figure.run, figure.reference)
+        )
+        table.add_row(figure.name, a, b, figure.difference)
+    narrow.print(table)
+    for remark in words.remarks:
+        narrow.print(remark, markup=False)
+    narrow.print(words.headline(), markup=False)
+    return SAME if words.same else DIFFERS
+
+
+def _value(value: Any) -> str:
+    return "none" if value is None else str(value).replace("[", r"\[")
 
 
 def reproduce(
@@ -247,4 +289,4 @@ def _show(
 
         recording = view_both.record(run, reference, result, folder / f"{REPORT}.rrd")
         stdout.print(str(recording))
-        open_viewer(recording).wait()
+        open_viewer(recording).process.wait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -19,8 +20,30 @@ def replay(
     from workcell.run import rebuild_recording
     from workcell.view.viewer import open_viewer
 
-    recording = rebuild_recording(run)
-    return OK if open_viewer(recording, web=web).wait() == 0 else FAILED
+    viewer = open_viewer(rebuild_recording(run), web=web)
+    stdout.print(f"{describe(run)}, in the rerun viewer", markup=False)
+    if web:
+        stdout.print(f"open {viewer.address}", markup=False)
+        stdout.print(f"from another machine first: {viewer.ssh_command}", markup=False)
+        stdout.print("Ctrl-C ends it", markup=False)
+    try:
+        return OK if viewer.process.wait() == 0 else FAILED
+    except KeyboardInterrupt:
+        # The viewer gets the same signal, and ends as well.
+        viewer.process.wait()
+        return OK
+
+
+def describe(run: Path) -> str:
+    """A run folder in a line: scenario, length, verdict."""
+    from workcell.run import read_summary
+    from workcell.trace.table import load
+    from workcell.view.verdict import headline
+
+    summary, trace = read_summary(run), load(run)
+    name = trace.metadata.get("settings", {}).get("name", run.name)
+    verdict = "no summary: the run did not end" if summary is None else headline(summary)
+    return f"{run}: {name}, {trace['time_s'][-1]:.1f} s, {verdict}"
 
 
 def plot(run: RunFolder, /) -> int:

@@ -14,6 +14,8 @@ OK, FAILED, REFUSED = 0, 1, 2
 """Exit statuses: as expected; it ran, but not as expected; the input was refused."""
 
 stdout = Console(highlight=False, soft_wrap=True)
+narrow = Console(highlight=False)
+"""The same stream for tables: wrapped at the terminal's width, 80 columns where there is none."""
 stderr = Console(stderr=True, highlight=False, soft_wrap=True)
 
 

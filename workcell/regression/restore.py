@@ -51,11 +51,11 @@ def restore(run: Path, out: Path) -> Salvage:
         losses.append(str(error))
     _copy_json(run / runner.ORIGIN_FILE, out / runner.ORIGIN_FILE)
     scene_xml = _scene(run, out, trace, losses)
+    summary = _summary(trace, scenario, losses)
     recording = saved.recording
     if scene_xml is not None:
         # What is derived from checked rows is better than what the viewer's tool could repair.
-        recording = view.record(trace, scene_xml, out / runner.RECORDING_FILE)
-    summary = _summary(trace, scenario, losses)
+        recording = view.record(trace, scene_xml, out / runner.RECORDING_FILE, summary=summary)
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     (out / runner.SUMMARY_FILE).write_text(text, encoding="utf-8")
     return replace(saved, recording=recording, losses=tuple(losses))

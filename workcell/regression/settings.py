@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from workcell.errors import InputError
@@ -14,18 +15,37 @@ LENGTH = "simulation.duration_s"
 """A run of another length is compared as far as both go."""
 
 
+@dataclass(frozen=True)
+class SettingChange:
+    """One setting in which two scenarios differ."""
+
+    key: str
+    """Dotted key; entries of lists by their name, or their place."""
+    run: Any
+    """What the run has; None where it has no such key."""
+    reference: Any
+    """What the reference has."""
+
+
 def settings_changes(run: Mapping[str, Any], reference: Mapping[str, Any]) -> list[str]:
     """The settings of two resolved scenarios that differ and matter to the motion, `key run | reference`.
 
     Keys that one of them does not know yet count with their defaults.
     """
+    return [
+        f"{c.key} {'none' if c.run is None else c.run} | {'none' if c.reference is None else c.reference}"
+        for c in changes_of(run, reference)
+        if c.key != LENGTH
+    ]
+
+
+def changes_of(run: Mapping[str, Any], reference: Mapping[str, Any]) -> list[SettingChange]:
+    """The same as records, the length of the run among them."""
     mine, theirs = _flat(_resolved(run)), _flat(_resolved(reference))
     return [
-        f"{key} {mine.get(key, 'none')} | {theirs.get(key, 'none')}"
+        SettingChange(key, mine.get(key), theirs.get(key))
         for key in sorted(set(mine) | set(theirs))
-        if mine.get(key) != theirs.get(key)
-        and key.partition(".")[0] not in NOT_MOTION
-        and key != LENGTH
+        if mine.get(key) != theirs.get(key) and key.partition(".")[0] not in NOT_MOTION
     ]
 
 

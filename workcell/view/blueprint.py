@@ -12,8 +12,11 @@ from workcell.view.limits import FALLBACK_T_MIN_S, TTC_CAP_IN_T_MIN
 
 VIEW_NAMES = (
     "Cell", "Events", "Time to collision [s]", "Smallest distance [m]", "ARTC [1/s]",
-    "Tool speed [m/s]", "Scale", "Mode",
+    "Tool speed [m/s]", "Scale", "Mode", "Verdict",
 )  # fmt: skip
+
+_LANE_SHARE = 0.75
+"""Height of a lane of modes, in the measure of the curves; one lane more is for title and axis."""
 
 
 def layout(trace: Trace, frames: Frames) -> rrb.Blueprint:
@@ -45,6 +48,7 @@ def layout(trace: Trace, frames: Frames) -> rrb.Blueprint:
             timeline_columns=["sim_time"], text_log_columns=["loglevel", "body"]
         ),
     )
+    verdict = rrb.TextDocumentView(origin="/verdict", name="Verdict")
     curves = rrb.Vertical(
         plot("/ttc", "Time to collision [s]", TTC_CAP_IN_T_MIN * t_min_s),
         plot("/distance", "Smallest distance [m]"),
@@ -52,11 +56,13 @@ def layout(trace: Trace, frames: Frames) -> rrb.Blueprint:
         plot("/tool_speed", "Tool speed [m/s]"),
         plot("/scale", "Scale", 1.05),
         rrb.StateTimelineView(origin="/mode", name="Mode"),
-        row_shares=[3, 2, 2, 2, 1.5, 2.2],
+        row_shares=[3, 2, 2, 2, 1.5, _LANE_SHARE * (2 + len(trace.layout.arms))],
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(cell, events, row_shares=[4, 1]), curves, column_shares=[1.1, 1]
+            rrb.Vertical(cell, rrb.Horizontal(events, verdict), row_shares=[3, 1]),
+            curves,
+            column_shares=[1.1, 1],
         ),
         rrb.TimePanel(state="collapsed", timeline="sim_time", play_state="paused"),
         rrb.BlueprintPanel(state="collapsed"),

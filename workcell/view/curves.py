@@ -49,7 +49,7 @@ def log_curves(recording: rr.RecordingStream, trace: Trace) -> None:
     ttc["commanded"] = _capped(trace["ttc_command_s"], cap_s)
     ttc["measured"] = _capped(trace["ttc_s"], cap_s)
     ttc_colours += [COMMANDED, MEASURED]
-    curves("ttc", ttc, [_on_dark(c) for c in ttc_colours], "Min")
+    curves("ttc", ttc, ttc_colours, "Min")
     distance, distance_colours = {}, []
     if trace.layout.pairs:
         distance["capsules"] = smallest_distance_m(trace)
@@ -61,7 +61,7 @@ def log_curves(recording: rr.RecordingStream, trace: Trace) -> None:
     if d_min_m is not None:
         distance["d_min"] = level(d_min_m)
         distance_colours.append(LIMIT)
-    curves("distance", distance, [_on_dark(c) for c in distance_colours], "Min")
+    curves("distance", distance, distance_colours, "Min")
 
     def per_arm(column: str) -> dict[str, NDArray[np.float64]]:
         return {arm: trace[f"{arm}.{column}"] for arm in arms}
@@ -79,8 +79,3 @@ def _capped(ttc_s: NDArray[np.float64], cap_s: float) -> NDArray[np.float64]:
 def _gap(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Infinity draws a gap as NaN does, and compares equal to itself."""
     return np.where(np.isnan(values), np.inf, values)
-
-
-def _on_dark(colour: Rgb) -> Rgb:
-    """Figures have white paper, the viewer a dark ground: the measured curve turns light."""
-    return (225, 225, 230) if colour == MEASURED else colour

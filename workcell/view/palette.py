@@ -13,7 +13,8 @@ ARM_COLOURS: tuple[Rgb, ...] = (
 """In the order of the trace's arms, repeated if there are more. Chosen after Okabe and Ito's set,
 which people with colour-blindness can tell apart, darkened where thin lines would be faint."""
 
-MEASURED: Rgb = (60, 60, 70)
+MEASURED: Rgb = (20, 130, 150)
+"""Curves must be told from the ground on white paper and in a dark viewer alike."""
 COMMANDED: Rgb = (150, 90, 200)
 LIMIT: Rgb = (200, 40, 40)
 DANGER: Rgb = (235, 70, 70)

@@ -11,8 +11,10 @@ from __future__ import annotations
 import os
 import uuid
 import warnings
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import rerun as rr
@@ -26,20 +28,29 @@ from workcell.view.curves import log_curves
 from workcell.view.events import log_modes
 from workcell.view.frames import Frames
 from workcell.view.geometry import log_geometry
+from workcell.view.trails import log_trails
+from workcell.view.verdict import headline, markdown
 
-VIEW_VERSION = 1
+VIEW_VERSION = 2
 """Raised when a recording made by this file should look different from older ones."""
 
 _APPLICATION = "workcell"
 
 
-def record(trace: Trace, scene_xml: Path | str, out_rrd: Path | str) -> Path:
+def record(
+    trace: Trace,
+    scene_xml: Path | str,
+    out_rrd: Path | str,
+    *,
+    summary: Mapping[str, Any] | None = None,
+) -> Path:
     """Derives the recording of a run.
 
     Args:
         trace: The run.
         scene_xml: Its scene.
         out_rrd: File to write; it appears whole or not at all.
+        summary: Its summary, for the page with the verdict; None where the run has none.
 
     Returns:
         The path written.
@@ -62,10 +73,17 @@ def record(trace: Trace, scene_xml: Path | str, out_rrd: Path | str) -> Path:
         frames = Frames(trace, model)
         recording.send_blueprint(layout(trace, frames))
         recording.send_recording_name(_title(trace, out_rrd))
-        recording.send_property("workcell", rr.AnyValues(drop_untyped_nones=True, **_origin(trace)))
+        recording.send_property(
+            "workcell", rr.AnyValues(drop_untyped_nones=True, **_origin(trace, summary))
+        )
         log_geometry(recording, trace, model, frames)
         log_curves(recording, trace)
         log_modes(recording, trace)
+        log_trails(recording, trace, frames.rows)
+        text = "This run has no summary." if summary is None else markdown(summary)
+        recording.log(
+            "verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True
+        )
         recording.flush()
     finally:
         recording.disconnect()
@@ -73,8 +91,8 @@ def record(trace: Trace, scene_xml: Path | str, out_rrd: Path | str) -> Path:
     return out_rrd
 
 
-def is_current(rrd: Path | str, trace: Trace) -> bool:
-    """Whether the recording was made of this trace by these versions of rerun and of this file.
+def is_current(rrd: Path | str, trace: Trace, *, summary: Mapping[str, Any] | None = None) -> bool:
+    """Whether the recording was made of this trace and verdict, by these versions of rerun and this file.
 
     A recording that is missing or cannot be read is not current.
     """
@@ -92,7 +110,7 @@ def is_current(rrd: Path | str, trace: Trace) -> bool:
                 found[name] = values[0].as_py()
     except RuntimeError:  # The reader has no narrower one.
         return False
-    return all(found.get(key) == [value] for key, value in _origin(trace).items())
+    return all(found.get(key) == [value] for key, value in _origin(trace, summary).items())
 
 
 def _load_scene(trace: Trace, scene_xml: Path | str) -> mujoco.MjModel:
@@ -106,12 +124,13 @@ def _load_scene(trace: Trace, scene_xml: Path | str) -> mujoco.MjModel:
     return model
 
 
-def _origin(trace: Trace) -> dict[str, str]:
+def _origin(trace: Trace, summary: Mapping[str, Any] | None) -> dict[str, str]:
     """What a recording depends on."""
     return {
         "rerun": version("rerun-sdk"),
         "view": str(VIEW_VERSION),
         "trace_sha256": trace.digest(),
+        "verdict": "none" if summary is None else headline(summary),
         "scenario": str(trace.metadata.get("scenario", "")),
     }
 
