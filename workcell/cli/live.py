@@ -44,7 +44,7 @@ def teleop(
         port=port,
         gamepad=gamepad,
         rerun=rerun,
-        keep_period=any(key.partition("=")[0] == "simulation.period_s" for key in set),
+        asked_for=[key.partition("=")[0] for key in set],
         say=lambda line: stdout.print(line, markup=False),
     )
     for run in sessions:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -41,6 +41,8 @@ from workcell.motion.operators.samples import Sample
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
 
+LONGEST_S = 4.0 * 3600.0
+"""A session ends when the person ends it; this long is a forgotten one."""
 PICTURE_S = 1 / 30
 """Time between two pictures that the run offers."""
 AHEAD_S = 0.2
@@ -88,7 +90,7 @@ def teleop(
     port: int | None = None,
     gamepad: bool = False,
     rerun: bool = False,
-    keep_period: bool = False,
+    asked_for: Collection[str] = (),
     say: Say = print,
 ) -> list[Session]:
     """Run a scenario with a person at its live operators, into a run folder.
@@ -100,7 +102,8 @@ def teleop(
         port: Of the page; None for its default.
         gamepad: At the window, also drive with the first gamepad (needs the extra `gamepad`).
         rerun: Also stream to a rerun viewer on this machine, whenever one is there.
-        keep_period: Keep the scenario's period even if this machine cannot hold it.
+        asked_for: Keys of the scenario that the person has set; `simulation.period_s` is then kept even if
+            this machine cannot hold it, and `simulation.duration_s` ends the run.
         say: Takes lines for the person.
 
     Returns:
@@ -120,9 +123,11 @@ def teleop(
         from workcell.live.window import require_display
 
         require_display()
-    choice = pace.choose_period(scenario, keep=keep_period)
+    choice = pace.choose_period(scenario, keep="simulation.period_s" in asked_for)
     say(choice.said)
     scenario = choice.scenario
+    if "simulation.duration_s" not in asked_for:
+        scenario = _open_ended(scenario)
     cell = _prepare(scenario, out)
     attempts: list[_Attempt] = []
     with _surface(cell, out, live, window=window, port=port, gamepad=gamepad, say=say) as desk:
@@ -139,6 +144,13 @@ def teleop(
         sessions = [_conclude(attempt, live) for attempt in attempts]
         desk.conclude("\n".join(sessions[-1].report.lines()))
     return sessions
+
+
+def _open_ended(scenario: Scenario) -> Scenario:
+    """The same scenario for as long as a person likes; its own end is that of a script."""
+    duration_s = max(LONGEST_S, scenario.simulation.duration_s)
+    simulation = scenario.simulation.model_copy(update={"duration_s": duration_s})
+    return scenario.model_copy(update={"simulation": simulation})
 
 
 def _prepare(scenario: Scenario, folder: Path) -> Cell:
