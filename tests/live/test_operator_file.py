@@ -9,7 +9,7 @@ from tests import cells
 from workcell import run as runner
 from workcell import scenario
 from workcell.errors import InputError
-from workcell.live.operator_file import write_replay
+from workcell.live.operator_file import write_replay, write_takes
 from workcell.trace.table import load
 
 
@@ -100,3 +100,17 @@ def test_a_run_without_operators_has_nothing_to_record(tmp_path, recorded):
     runner.run(cells.load(tmp_path, content), tmp_path / "run")
     with pytest.raises(InputError, match="no arm of this run has an operator"):
         write_replay(tmp_path / "run")
+
+
+def test_a_take_is_a_recording_that_begins_at_zero_and_can_be_played(recorded, tmp_path):
+    first, second = write_takes(recorded, [(25, 100), (100, 160), (400, 400)])
+    assert [first.name, second.name] == ["take_1_surgeon.csv", "take_2_surgeon.csv"]
+    trace = load(recorded)
+    take = np.genfromtxt(first, delimiter=",", names=True)
+    assert take["time_s"][0] == 0.0
+    assert len(take) == 75
+    wanted = trace["surgeon.target_position_m"][25:100]
+    assert np.array_equal(np.stack([take[f"{axis}_m"] for axis in "xyz"], axis=1), wanted)
+    assert write_takes(recorded, []) == []
+    loaded = scenario.load("handover", (f"arm.surgeon.operator.file={first}",))
+    assert isinstance(loaded.arm[0].operator, scenario.Recording)

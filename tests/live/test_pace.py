@@ -8,7 +8,7 @@ from tests import cells
 from workcell.errors import InputError
 from workcell.live import pace as pace_module
 from workcell.live.pace import GIVE_UP_S, Pace, choose_period, speed_words
-from workcell.live.teleop import teleop
+from workcell.live.teleop import LONGEST_S, _open_ended, teleop
 
 
 class Clock:
@@ -130,3 +130,9 @@ def test_tele_operation_needs_a_live_arm(tmp_path):
 
     with pytest.raises(InputError, match="no arm has an operator of kind 'live'"):
         teleop(scenario.load("handover"), tmp_path)
+
+
+def test_a_session_is_not_ended_by_the_scripts_duration(tmp_path):
+    own = live_duet(tmp_path)
+    assert _open_ended(own).simulation.duration_s == LONGEST_S
+    assert _open_ended(own).simulation.period_s == own.simulation.period_s

@@ -34,6 +34,7 @@ def teleop(
     ] = False,
 ) -> int:
     """Run a scenario in real time with a person at its live operators: a page in the browser shows the cell and takes mouse, keys and gamepad."""
+    from workcell.live.teleop import NOT_DRIVEN
     from workcell.live.teleop import teleop as session
 
     loaded = scenario_file.load(scenario, set)
@@ -47,6 +48,8 @@ def teleop(
         asked_for=[key.partition("=")[0] for key in set],
         say=lambda line: stdout.print(line, markup=False),
     )
+    if not sessions:
+        stdout.print(NOT_DRIVEN)
     for run in sessions:
         stdout.print(f"{run.folder}:", markup=False)
         for line in run.report.lines():

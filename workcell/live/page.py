@@ -169,8 +169,6 @@ class Page:
         scene.gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, control_layout="floating"
         )
-        # Shadows cost more than they show where a processor has to draw.
-        scene.scene.configure_default_lights(enabled=True, cast_shadow=False)
         first = next(iter(self._cameras.values()))
         scene.initial_camera.fov = FIELD_OF_VIEW_RAD
         scene.initial_camera.position = first.position_m

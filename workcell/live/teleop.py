@@ -43,6 +43,7 @@ from workcell.scene.cell import Cell
 
 LONGEST_S = 4.0 * 3600.0
 """A session ends when the person ends it; this long is a forgotten one."""
+NOT_DRIVEN = "Nothing was driven."
 PICTURE_S = 1 / 30
 """Time between two pictures that the run offers."""
 AHEAD_S = 0.2
@@ -107,7 +108,7 @@ def teleop(
         say: Takes lines for the person.
 
     Returns:
-        The runs in order, each with its summary, to which `real_time`, `input_latency` and
+        The runs that were started, in order, each with its summary, to which `real_time`, `input_latency` and
         `operator_report` are added.
 
     Raises:
@@ -141,8 +142,9 @@ def teleop(
             attempts.append(attempt)
         if stream:
             stream.close()
-        sessions = [_conclude(attempt, live) for attempt in attempts]
-        desk.conclude("\n".join(sessions[-1].report.lines()))
+        # A run that was never started leaves its scenario and scene, and nothing to sum up.
+        sessions = [_conclude(attempt, live) for attempt in attempts if attempt.ending.ticks]
+        desk.conclude("\n".join(sessions[-1].report.lines()) if sessions else NOT_DRIVEN)
     return sessions
 
 
@@ -221,9 +223,8 @@ def _conclude(attempt: _Attempt, live: list[str]) -> Session:
     (folder / runner.SUMMARY_FILE).write_text(
         json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
     )
-    if len(trace):
-        operator_file.write_replay(folder)
-        operator_file.write_takes(folder, minutes.takes)
+    operator_file.write_replay(folder)
+    operator_file.write_takes(folder, minutes.takes)
     return Session(folder, summary, report)
 
 

@@ -267,8 +267,8 @@ class Window:
         while self._open.is_set() and self._handle.is_running():
             with self._guard:
                 text = status_text(self._picture)
-            font, place = mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
-            keys = (mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_TOPRIGHT, *KEYS)
+            font, place = mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
+            keys = (mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_TOPLEFT, *KEYS)
             self._handle.set_texts([(font, place, *text), keys])
             time.sleep(TEXT_S)
 
@@ -357,8 +357,8 @@ class _Keyboard:
 
 
 KEYS = (
-    "drag\n\nmove\nup, down\nturn\nslowly\nt_min\ncriterion\npresent from\ngo on\nend",
-    "double click the marker, then Ctrl + right button;\nCtrl + left turns it\narrows\nPage Up, Page Down\nkeypad 4 6, 2 8, 7 9\nShift\n6, 7\n8\nkeypad 1 left, 5 above, 3 right\n0, after the final check's stop\n9",
+    "drag\nmove, turn\nslow, t_min, criterion\nfrom, go on, end",
+    "double click the marker; Ctrl + right moves, + left turns it\narrows, Page Up/Down; keypad 46 28 79\nShift; 6 7; 8\nkeypad 1 left 5 above 3 right; 0; 9",
 )
 """Two columns: what, and with which keys."""
 

@@ -116,13 +116,13 @@
     const s = state;
     const ttc = by("wc-ttc");
     ttc.textContent = s.ttc_words; ttc.className = "wc-" + s.colour;
-    by("wc-of").textContent = `t_min ${s.t_min_s.toFixed(2)} s`;
+    by("wc-of").textContent = s.t_min_s ? `t_min ${s.t_min_s.toFixed(2)} s` : "";
     const bar = by("wc-bar").firstChild;
     bar.style.width = `${100 * Math.min(1, s.ttc_s === null ? 1 : s.ttc_s / TTC_TOP)}%`; bar.className = "wc-" + s.colour;
     by("wc-pair").textContent = s.pair + (s.distance_m === null ? "" : `, ${(1000 * s.distance_m).toFixed(0)} mm`);
     by("wc-pair").className = "wc-" + s.colour;
     by("wc-artc").textContent = `ARTC ${s.artc_per_s.toFixed(2)} 1/s`;
-    by("wc-settings").textContent = `${s.time_s.toFixed(1)} s, ${s.speed}; criterion ${s.criterion}; from ${s.entry || "the side in the job"}${s.recording ? "; recording a take" : ""}`;
+    by("wc-settings").textContent = s.phase === "ready" ? "" : `${s.time_s.toFixed(1)} s, ${s.speed}; criterion ${s.criterion}; from ${s.entry || "the side in the job"}${s.recording ? "; recording a take" : ""}`;
     by("wc-arms").replaceChildren(...s.arms.map((arm) => {
       const line = el("div", {}, el("b", { textContent: arm.name + (arm.live ? " (you) " : " ") }), el("span", { className: "wc-" + arm.colour, textContent: arm.words }));
       line.dataset.arm = arm.name; return line;
