@@ -78,6 +78,9 @@ def _operator_faults(
         pose.rotation().wxyz,
         duration_s=simulation.duration_s,
         period_s=simulation.period_s,
+        name=arm.name,
+        home_rad=tuple(addresses.home_rad.tolist()),
+        joints=tuple(joint.removeprefix(f"{arm.name}/") for joint in addresses.joints),
     )
     return [f"arm.{arm.name}.operator.{fault}" for fault in found]
 

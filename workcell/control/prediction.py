@@ -22,7 +22,12 @@ def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None
         hypotheses[:, arm.columns] = command
         return
     hypotheses[0, arm.columns], hypotheses[1, arm.columns] = setpoint.task_rad_s, command
-    hypotheses[2, arm.columns] = arm.ik.followed(arm.configuration, command, setpoint.task_rad_s)
+    if setpoint.joints_rad_s is None:
+        hypotheses[2, arm.columns] = arm.ik.followed(
+            arm.configuration, command, setpoint.task_rad_s
+        )
+    else:
+        hypotheses[2, arm.columns] = setpoint.joints_rad_s
 
 
 def settle(watched: Watched, arm: ControlledArm, command_rad_s: NDArray[np.float64]) -> None:

@@ -51,6 +51,7 @@ class Setpoints:
         """
         memory = arm.memory
         state, elbow_m_s, waits, began, replanned = "", 0.0, False, False, False
+        joints_rad_s: np.ndarray | None = None
         target, doing, clock_s = memory.target, "", 0.0
         if arm.jobs is not None:
             jobs, answer = arm.jobs, memory.answer
@@ -70,8 +71,11 @@ class Setpoints:
             setpoint = arm.operator.setpoint(sensed.time_s)
             target, doing, clock_s = setpoint.target, setpoint.doing, sensed.time_s
             state, elbow_m_s = setpoint.state, setpoint.elbow_speed_m_s
+            joints_rad_s = setpoint.joints_rad_s
         task_rad_s = self._task(arm, target, doing, sensed)
         error_m, error_rad = arm.ik.tool_error
+        if joints_rad_s is not None:
+            task_rad_s = joints_rad_s
         return ArmSetpoint(
             target=target,
             task_rad_s=task_rad_s,
@@ -81,6 +85,7 @@ class Setpoints:
             tool_error_rad=error_rad,
             operator_state=state,
             elbow_speed_m_s=elbow_m_s,
+            joints_rad_s=joints_rad_s,
             waits=waits,
             began=began,
             replanned=replanned,

@@ -82,6 +82,8 @@ class ArmSetpoint(NamedTuple):
     """See `workcell.motion.setpoint`; empty without an operator."""
     elbow_speed_m_s: float = 0.0
     """Speed to the left that the operator asks of the elbow."""
+    joints_rad_s: Array | None = None
+    """(n,) joint velocities to be commanded as they are; None where the target is to be followed."""
     waits: bool = False
     """Whether the path stands still until the tool has come back to it."""
     began: bool = False

@@ -155,6 +155,9 @@ class OperatorStrategy:
 
     def steer(self, view: ArmView) -> Steering:
         """See `strategy.Strategy`."""
+        given = view.setpoint.joints_rad_s
+        if given is not None:
+            return Steering(velocity_rad_s=given, nominal_rad_s=given, ik_status="not_solved")
         solution = view.solve(elbow.swing(view))
         velocity: Array = solution.velocity_rad_s
         beyond = np.abs(velocity - view.task_rad_s).max()

@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from workcell.motion.path import Target
 
 VALID = "valid"
@@ -58,6 +61,8 @@ class Setpoint:
     """One of `STATES`."""
     elbow_speed_m_s: float = 0.0
     """Speed at which the elbow should swing about the line from base to tool, right-handed; the tool does not move with it."""
+    joints_rad_s: NDArray[np.float64] | None = None
+    """(n,) joint velocities to be commanded as they are; None where the target is to be followed."""
 
 
 class Operator(Protocol):

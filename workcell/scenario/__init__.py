@@ -18,6 +18,7 @@ from workcell.scenario.load import find, load, validate
 from workcell.scenario.operators import (
     Hold,
     Human,
+    Joints,
     Live,
     Operator,
     Recording,
@@ -59,6 +60,7 @@ __all__ = [
     "Human",
     "Instrument",
     "Job",
+    "Joints",
     "Live",
     "Meet",
     "Move",

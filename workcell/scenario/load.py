@@ -84,6 +84,7 @@ def _resolve_models(content: dict[str, Any], folder: Path) -> None:
         if isinstance(model, str) and model not in assets.model_names():
             arm["model"] = str((folder / model).resolve())
         operator = arm.get("operator") if isinstance(arm, dict) else None
-        file = operator.get("file") if isinstance(operator, dict) else None
-        if isinstance(operator, dict) and isinstance(file, str):
-            operator["file"] = str((folder / file).resolve())
+        for key in ("file", "run"):
+            path = operator.get(key) if isinstance(operator, dict) else None
+            if isinstance(operator, dict) and isinstance(path, str):
+                operator[key] = str((folder / path).resolve())

@@ -6,7 +6,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from workcell.scenario.values import NonNegative, Positive, Probability, Quaternion, Table, Vector3
+from workcell.scenario.values import (
+    Name,
+    NonNegative,
+    Positive,
+    Probability,
+    Quaternion,
+    Table,
+    Vector3,
+)
 
 
 class Hold(Table):
@@ -126,4 +134,14 @@ class Human(Table):
         return self
 
 
-Operator = Annotated[Hold | Waypoints | Recording | Human | Live, Field(discriminator="kind")]
+class Joints(Table):
+    """The arm repeats the joint motion of an arm of a recorded run, tick by tick; for fair races."""
+
+    kind: Literal["joints"]
+    run: str
+    arm: Name | None = None
+
+
+Operator = Annotated[
+    Hold | Waypoints | Recording | Human | Live | Joints, Field(discriminator="kind")
+]

@@ -35,14 +35,18 @@ def apply(content: dict[str, Any], override: str, path: Path) -> None:
             f"--set {key}: {last!r} would replace one of several entries; name a key inside it",
             file=path,
         )
-    if parents[-1:] == ["operator"] and last == "file":
+    if parents[-1:] == ["operator"] and last in _KIND_OF:
         here = Path(str(value))
-        # A file seen from the working folder is that one, any other is relative to the scenario.
-        _become(node, "recording", file=str(here.resolve() if here.is_file() else here))
+        # What is seen from the working folder is meant, any other path is relative to the scenario.
+        _become(node, _KIND_OF[last], **{last: str(here.resolve() if here.exists() else here)})
     elif parents[-1:] == ["operator"] and last == "kind":
         _become(node, str(value))
     else:
         node[last] = value
+
+
+_KIND_OF = {"file": "recording", "run": "joints"}
+"""Keys of an operator that say by themselves of which kind it is."""
 
 
 def _become(operator: dict[str, Any], kind: str, **settings: Any) -> None:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from workcell import scenario
 from workcell.motion.operators.human import HumanOperator
+from workcell.motion.operators.joints import JointsOperator
+from workcell.motion.operators.joints import faults as joints_faults
 from workcell.motion.operators.live import LiveOperator
 from workcell.motion.operators.recording import RecordingOperator
 from workcell.motion.operators.recording import faults as recording_faults
@@ -66,6 +68,8 @@ def make_operator(
                 period_s=period_s,
                 random=np.random.default_rng([seed, zlib.crc32(name.encode()), _OF_THE_STREAM]),
             )
+        case scenario.Joints():
+            return JointsOperator(settings, arm=name, period_s=period_s)
         case scenario.Live():
             return LiveOperator(settings, position_m, wxyz, period_s=period_s)
     return HoldOperator(position_m, wxyz)
@@ -78,6 +82,9 @@ def faults(
     *,
     duration_s: float,
     period_s: float,
+    name: str,
+    home_rad: tuple[float, ...],
+    joints: tuple[str, ...],
 ) -> list[str]:
     """Why an operator could not drive its arm through a run, as far as this shows before the run.
 
@@ -86,6 +93,9 @@ def faults(
         position_m, wxyz: Tool pose at the start.
         duration_s: Length of the run.
         period_s: Control period.
+        name: Of the arm.
+        home_rad: Its joint positions at the start.
+        joints: Names of its joints, without the arm's own name.
 
     Returns:
         One sentence for each fault, naming key, value and what is allowed; empty where there is none.
@@ -94,4 +104,6 @@ def faults(
         return recording_faults(
             settings, position_m, wxyz, duration_s=duration_s, period_s=period_s
         )
+    if isinstance(settings, scenario.Joints):
+        return joints_faults(settings, name, home_rad, joints)
     return []
