@@ -12,7 +12,7 @@ from importlib.metadata import version
 from typing import Any
 
 from workcell import __version__
-from workcell.control.kernels import library
+from workcell.control.laws import arithmetic
 from workcell.scene import contacts
 from workcell.scene.cell import Cell
 from workcell.signals import Layout
@@ -76,4 +76,4 @@ def _platform() -> str:
 def versions() -> dict[str, str]:
     """Versions of everything that decides what a trace holds, and which arithmetic is used (docs/performance.md)."""
     packages = {name: version(name) for name in PACKAGES}
-    return {"workcell": __version__} | packages | {"kernels": library.in_use()}
+    return {"workcell": __version__} | packages | {"kernels": arithmetic()}

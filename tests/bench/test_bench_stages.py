@@ -17,15 +17,15 @@ import pytest
 from tests.bench.conftest import Stopwatch, drive, timed
 from workcell import run as runner
 from workcell import scenario as scenario_file
-from workcell.control import controller, criteria, sensing, ttc
-from workcell.control.compiled import CompiledShare, CompiledWatched
+from workcell.control import controller, sensing
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
-from workcell.control.kernels import library
+from workcell.control.laws import arithmetic
+from workcell.control.laws import criteria as laws
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.control.setpoints import Setpoints
-from workcell.control.share import Watched
+from workcell.control.share import Share, Watched
 from workcell.scene import cell as scene
 from workcell.trace.writer import TraceWriter
 
@@ -33,21 +33,19 @@ STAGES = (
     ("whole tick", Controller, "step"),
     ("witness points (MuJoCo)", mujoco, "mj_sensorPos"),
     ("distance, normal, G", PairGeometry, "measure"),
-    ("rates, first-order times", CompiledWatched, "rates"),
+    ("rates, first-order times", Watched, "rates"),
     ("d̈", sensing, "second_order"),
-    ("second-order times", ttc, "reciprocal_second_order"),
-    ("criterion: its values", CompiledShare, "surroundings"),
+    ("criterion: its values", Share, "surroundings"),
     ("inverse kinematics: target", ArmIk, "aim"),
-    ("inverse kinematics: criterion, rows, program", CompiledShare, "solve"),
-    ("scaling: factor and joints' reach", CompiledShare, "allow"),
-    ("scaling: is the command kept", CompiledShare, "keeps"),
+    ("inverse kinematics: criterion, rows, program", Share, "solve"),
+    ("scaling: factor and joints' reach", Share, "allow"),
+    ("scaling: is the command kept", Share, "keeps"),
     ("jobs and path", Setpoints, "_advance"),
     ("final check: hand-over", Controller, "_ask"),
     ("record of the tick", controller, "outcome"),
     ("log: a row", TraceWriter, "append"),
     ("plant", mujoco, "mj_step"),
 )
-"""With NumPy alone the same methods are those of `Watched` and `Share`, which the compiled ones fall back on."""
 RUN_S = 22.0
 """Long enough for all of the handover's jobs; the two orders together make 20 000 ticks."""
 
@@ -85,7 +83,7 @@ def test_stages_of_a_run(benchmark, monkeypatch, tmp_path, order):
     pause_us = (np.array(pauses[0::2]) + np.array(pauses[1::2])) / 1e3
     benchmark.extra_info |= {
         "stages": rows,
-        "kernels": library.in_use(),
+        "kernels": arithmetic(),
         "pairs": len(built.pairs),
         "ticks": ending.ticks,
         "times_real_time_wall": RUN_S / wall_s,
@@ -94,7 +92,7 @@ def test_stages_of_a_run(benchmark, monkeypatch, tmp_path, order):
         "longest_collection_us": float(pause_us.max(initial=0.0)),
     }
     print(
-        f"\n{library.in_use()}, order {order}: {RUN_S / wall_s:.2f} x real time by the wall, {RUN_S / cpu_s:.2f} by process time; "
+        f"\n{arithmetic()}, order {order}: {RUN_S / wall_s:.2f} x real time by the wall, {RUN_S / cpu_s:.2f} by process time; "
         f"{len(pause_us)} collections, the longest {pause_us.max(initial=0.0):.0f} µs"
     )
     for name, row in rows.items():
@@ -116,7 +114,7 @@ def test_pairs_alone(benchmark, cell, states):
             np.asarray(cell.sensor_adr)[chosen],
         )
 
-        watched = _watched_pairs(cell, count)
+        watched = Watched(count, [arm.dofs for arm in cell.arms], cell.model.nv)
         near = geometry.measure(data, kept=True)
         watched.take(near, near.jacobian)
         criterion = _criterion(watched)
@@ -142,46 +140,28 @@ def test_pairs_alone(benchmark, cell, states):
             if key.endswith("median_us")
         }
         print(
-            f"\n{library.in_use()}, {count} pairs: first order {found[count]['first']}, d̈ {found[count]['second']}"
+            f"\n{arithmetic()}, {count} pairs: first order {found[count]['first']}, d̈ {found[count]['second']}"
         )
-    benchmark.extra_info |= {"pairs": found, "kernels": library.in_use()}
+    benchmark.extra_info |= {"pairs": found, "kernels": arithmetic()}
     benchmark(lambda: None)
     few, many = (found[count]["first"]["cpu_median_us"] for count in (64, 4000))
     print(f"{(many - few) / (4000 - 64):.3f} µs for a further pair")
     assert many <= few * 4000 / 64, "the cost must grow no faster than the number of pairs"
 
 
-def _watched_pairs(cell, count: int) -> Watched:
-    """What the controller keeps for so many pairs."""
-    found, dofs = library.kernels(), [arm.dofs for arm in cell.arms]
-    if found is None:
-        return Watched(count, dofs, cell.model.nv)
-    return CompiledWatched(found, count, dofs, cell.model.nv)
-
-
 def _criterion(watched: Watched) -> Callable[[], object]:
-    """ARTC and its gradient for all joints, where the controller's stages have them: on arrays that are kept."""
-    found = library.kernels()
-    if found is None:
-        return lambda: (
-            criteria.artc_signed(watched.distance_m, watched.rate_m_s),
-            criteria.artc_signed_gradient(watched.distance_m, watched.jacobian),
-        )
+    """ARTC and its gradient for all joints, on arrays that are kept."""
     pairs, joints = watched.jacobian.shape
-    seen = {"distance": watched.distance_m, "rate": watched.rate_m_s}
-    value = found.bind("average", {"pairs": pairs, "kind": 0}, **seen)
-    gradient = found.bind(
-        "objective", {"pairs": pairs, "joints": joints, "kind": 0}, rows=watched.jacobian, **seen
-    )
+    every, dofs = np.arange(pairs), np.arange(joints)
+    hessian, linear = np.zeros((joints, joints)), np.zeros(joints)
+    distance, rate = watched.distance_m, watched.rate_m_s
 
-    def both() -> tuple[float, np.ndarray]:
-        value.run()
-        gradient.run()
-        return value.arrays["value"].item(), gradient.arrays["linear"]
+    def both() -> None:
+        laws.means(distance, rate, every, False)
+        laws.objective(
+            laws.ARTC_SIGNED, watched.jacobian, distance, rate, rate, every, dofs, hessian, linear
+        )
 
-    np.testing.assert_allclose(
-        both()[1], criteria.artc_signed_gradient(watched.distance_m, watched.jacobian)
-    )
     return both
 
 

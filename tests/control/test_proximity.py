@@ -84,7 +84,7 @@ def test_two_arms_agree_with_a_second_implementation(two_arms, rng):
     for _ in range(20):
         update(model, data, rng.uniform(-2.0, 2.0, model.nq))
         near = geometry.measure(data)
-        for k, (i, j) in enumerate(zip(geometry.geom_i, geometry.geom_j, strict=True)):
+        for k, (i, j) in enumerate(geometry.geom):
             half = [data.geom_xmat[g].reshape(3, 3)[:, 2] * model.geom_size[g, 1] for g in (i, j)]
             axis_distance = _segment_distance(
                 data.geom_xpos[i], half[0], data.geom_xpos[j], half[1]
@@ -94,7 +94,7 @@ def test_two_arms_agree_with_a_second_implementation(two_arms, rng):
         # The witness points must realise the distance along n, not only their number be right.
         rebuilt = (
             near.witness_j_m
-            + (near.distance_m + geometry.radius_i_m + geometry.radius_j_m)[:, None] * near.normal
+            + (near.distance_m + geometry.radius_m.sum(axis=1))[:, None] * near.normal
         )
         np.testing.assert_allclose(rebuilt, near.witness_i_m, atol=1e-12)
         assert not near.degenerate.any()
@@ -192,7 +192,7 @@ def test_overlapping_collinear_axes_and_concentric_spheres_are_degenerate():
 )
 def test_jacobian_for_every_kind_of_geom_separate_and_penetrating(first, second, tolerance, rng):
     model, data, geometry = _two_geoms(first, second)
-    core_m = float(geometry.radius_i_m[0] + geometry.radius_j_m[0]) or 0.05
+    core_m = float(geometry.radius_m[0].sum()) or 0.05
     separate = penetrating = 0
     for _ in range(120):
         qpos = _random_pose(rng)

@@ -11,7 +11,6 @@ from workcell.control.scaling import (
     AccelerationInterval,
     FactorGovernor,
     acceleration_interval,
-    equation16,
     pairwise_factor,
     smallest_t_min,
 )
@@ -75,15 +74,16 @@ def test_more_distance_never_means_less_speed(pairs, t_min, more):
 def test_among_standing_things_it_is_equation_16_of_the_paper(pairs, t_min):
     distance, rate = np.array(pairs).T
     star = smallest(reciprocal_first_order(distance, rate)).ttc_s
-    assert equation16(distance, rate, t_min) == pytest.approx(min(1.0, star / t_min), rel=1e-9)
-    assert pairwise_factor(distance, rate, 0.0, t_min).shortfall_m_s == 0.0
+    bound = pairwise_factor(distance, rate, 0.0, t_min)
+    assert bound.factor == pytest.approx(min(1.0, star / t_min), rel=1e-9)
+    assert bound.shortfall_m_s == 0.0
 
 
 def test_distance_and_speed_decay_exponentially_against_a_fixed_obstacle():
     t_min, wanted, step = 0.8, 0.5, 1e-4
     distance = t_min * wanted  # Scaling sets in here.
     for tick in range(20000):
-        factor = equation16([distance], [-wanted], t_min)
+        factor = pairwise_factor([distance], [-wanted], 0.0, t_min).factor
         if tick % 2000 == 0:
             decayed = np.exp(-tick * step / t_min)
             assert distance == pytest.approx(t_min * wanted * decayed, rel=1e-3)
@@ -236,7 +236,8 @@ def test_governed_arm_respects_its_joints_while_it_brakes():
     distance, command, seen = 1.0, np.zeros(2), set()
     for _ in range(600):
         interval = acceleration_interval(command, wanted, limit, period)
-        choice = governor.choose(equation16([distance], [-wanted[0]], t_min), interval)
+        bound = pairwise_factor([distance], [-wanted[0]], 0.0, t_min)
+        choice = governor.choose(bound.factor, interval)
         seen.add(choice.limiter)
         assert (np.abs(choice.factor * wanted - command) <= limit * period + 1e-12).all()
         command = choice.factor * wanted

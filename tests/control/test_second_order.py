@@ -50,7 +50,7 @@ def test_leaving_out_the_sliding_would_be_noticed(two_arms, rng):
     near = geometry.measure(data)
     result = second_order(geometry, data, near, qacc)
     material = np.zeros(len(geometry))
-    for k, (i, j) in enumerate(zip(geometry.body_i, geometry.body_j, strict=True)):
+    for k, (i, j) in enumerate(geometry.body):
         for sign, body, point in ((1, i, near.witness_i_m[k]), (-1, j, near.witness_j_m[k])):
             jac_dot = np.zeros((3, model.nv))
             mujoco.mj_jacDot(model, data, jac_dot, None, point, body)

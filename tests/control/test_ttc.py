@@ -11,7 +11,6 @@ from workcell.control.ttc import (
     reciprocal_first_order,
     reciprocal_second_order,
     smallest,
-    time_from_reciprocal,
 )
 from workcell.errors import WorkcellError
 
@@ -139,12 +138,6 @@ def test_smallest_names_the_first_of_the_most_urgent_pairs():
     assert (smallest([1.0, np.inf]).ttc_s, smallest([1.0, np.inf]).pair) == (0.0, 1)
     for none in ([], [0.0, 0.0], [5e-324]):
         assert (smallest(none).ttc_s, smallest(none).pair) == (np.inf, -1)
-
-
-def test_time_from_reciprocal():
-    np.testing.assert_array_equal(
-        time_from_reciprocal([0.0, -0.0, 2.0, np.inf]), [np.inf, np.inf, 0.5, 0.0]
-    )
 
 
 def test_what_is_not_a_number_is_refused_by_name():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from workcell.control import controller as module
-from workcell.control.compiled import CompiledShare
 from workcell.control.controller import Controller
 from workcell.control.proximity import PairGeometry
 from workcell.control.share import Share
@@ -20,11 +19,10 @@ from workcell.regression.compare import compare
 from workcell.regression.excerpt import excerpt
 
 
-def in_both(monkeypatch, name, change):
-    """Change a method of an arm's share, in NumPy and in compiled code."""
-    for kind in (Share, CompiledShare):
-        law = getattr(kind, name)
-        monkeypatch.setattr(kind, name, lambda self, *a, law=law, **k: change(law, self, *a, **k))
+def changed(monkeypatch, name, change):
+    """Change a method of an arm's share."""
+    law = getattr(Share, name)
+    monkeypatch.setattr(Share, name, lambda self, *a, law=law, **k: change(law, self, *a, **k))
 
 
 def scaled_too_far(monkeypatch, duet):
@@ -35,7 +33,7 @@ def scaled_too_far(monkeypatch, duet):
         factor = min(1.0, found.bound.factor * 1.01)
         return dataclasses.replace(found, bound=dataclasses.replace(found.bound, factor=factor))
 
-    in_both(monkeypatch, "allow", mutant)
+    changed(monkeypatch, "allow", mutant)
 
 
 def pair_dropped(monkeypatch, duet):
@@ -78,8 +76,8 @@ def approaching_only(monkeypatch, duet):
         asked = settings.model_copy(update={"criterion": "artc_approaching"})
         return law(self, previous, task, qvel, asked, push)
 
-    in_both(monkeypatch, "surroundings", lambda law, self, approaching: law(self, approaching=True))
-    in_both(monkeypatch, "solve", solve)
+    changed(monkeypatch, "surroundings", lambda law, self, approaching: law(self, approaching=True))
+    changed(monkeypatch, "solve", solve)
 
 
 def state_delayed(monkeypatch, duet):

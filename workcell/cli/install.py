@@ -6,11 +6,11 @@ from workcell.cli.terminal import FAILED, OK, stderr, stdout
 
 
 def compile_() -> int:
-    """Compile the arithmetic of a tick for this machine, once; without it, NumPy is used and a tick takes twice as long."""
-    from workcell.control.kernels.build import compile_kernels
-
+    """Compile the laws of a tick for this machine, once; otherwise their first use does so, which takes a minute."""
     try:
-        stdout.print(str(compile_kernels()))
+        from workcell.control.warm import warm
+
+        stdout.print(str(warm()))
     except OSError as error:
         stderr.print(f"cannot keep what was compiled: {error}", markup=False)
         return FAILED

@@ -10,12 +10,14 @@ Each looks for the velocity nearest to a preferred one that gives every pair the
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control.share import TASK_SLACK_M_S
+from workcell.control.laws.pair_rule import TASK_SLACK_M_S, smallest_rates
+from workcell.control.laws.speed_scale import backing_factor
 from workcell.control.strategy import ArmView
 from workcell.guard.halt import brake
 
@@ -85,14 +87,16 @@ def give_way(view: ArmView, nominal_rad_s: Array) -> Avoidance:
     rows = view.rows(moved)
     movable = rows.any(axis=1)  # what its own base comes near to is not in its power
     rows, pairs = rows[movable], moved[movable]
-    gap = view.distance_m[pairs] - settings.d_min_m
-    needed = -gap / settings.t_min_s - view.other_m_s[pairs]
-    back = _backing_factor(rows @ nominal_rad_s, needed)
-    preferred = np.zeros_like(nominal_rad_s) if back is None else back * nominal_rad_s
-    velocity = view.evade(preferred, rows, needed)
+    needed = np.empty(len(pairs))
+    smallest_rates(
+        view.distance_m[pairs], view.other_m_s[pairs], settings.t_min_s, settings.d_min_m, needed
+    )
+    back = backing_factor(rows @ nominal_rad_s, needed)
+    factor = 0.0 if math.isnan(back) else back
+    velocity = view.evade(factor * nominal_rad_s, rows, needed)
     if velocity is None:
-        return Avoidance(_braking(view), back or 0.0, True, False)
-    return Avoidance(velocity, back or 0.0, True)
+        return Avoidance(_braking(view), factor, True, False)
+    return Avoidance(velocity, factor, True)
 
 
 def _leave_path(
@@ -108,18 +112,3 @@ def _leave_path(
 
 def _braking(view: ArmView) -> Array:
     return brake(view.command_rad_s, view.limits.acceleration_limit_rad_s2, view.period_s)
-
-
-def _backing_factor(own_m_s: Array, needed_m_s: Array) -> float | None:
-    """The mildest factor in [-1, 0] that gives every pair the rate it needs; None if there is none.
-
-    Args:
-        own_m_s: (R,) rates at factor 1.
-        needed_m_s: (R,) smallest rate of each pair.
-    """
-    closing, opening = own_m_s < 0.0, own_m_s > 0.0
-    if (needed_m_s[~closing & ~opening] > 0.0).any():
-        return None
-    highest = np.min(needed_m_s[closing] / own_m_s[closing], initial=0.0)
-    lowest = np.max(needed_m_s[opening] / own_m_s[opening], initial=-1.0)
-    return float(highest) if lowest <= highest else None

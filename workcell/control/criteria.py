@@ -4,7 +4,7 @@ In: distances, closing rates and Jacobian rows of the pairs that belong to an ar
 of ARTC (paper equation 18) or ARMD (equation 17), its gradient, and a quadratic objective whose
 descent in joint velocities lowers it, for the inverse kinematics to follow in the null space.
 The 1/(MN) of the paper is one over the number of pairs given: pairs left out do not count.
-Plain arrays; pass the rows of an arm's pairs and the columns of its dofs.
+Plain arrays; pass the rows of an arm's pairs and the columns of its dofs. The arithmetic is `laws.criteria`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workcell.control.finite import finite
-from workcell.control.kernels.library import ArrayFunction
+from workcell.control.finite import alike, finite
+from workcell.control.laws import criteria as laws
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
@@ -24,30 +24,13 @@ Array = NDArray[np.float64]
 CriterionName = Literal["artc", "artc_approaching", "armd", "none"]
 CRITERIA: tuple[CriterionName, ...] = ("artc", "artc_approaching", "armd", "none")
 
-# As compiled code numbers the criteria.
-_SIGNED = ArrayFunction("average", "distance", "rate", kind=0)
-_APPROACHING = ArrayFunction("average", "distance", "rate", kind=1)
-_ARMD = ArrayFunction("average", "distance", kind=2)
-_STOPS = ArrayFunction("with_room_to_stops", "q", "lower", "upper", "linear")
-_DESCENTS = {
-    "artc": ArrayFunction("objective", "distance", "rows", kind=0),
-    "artc_approaching": ArrayFunction("objective", "distance", "rows", "rate", "other", kind=1),
-    "armd": ArrayFunction("objective", "distance", "rows", kind=2),
+KINDS: dict[str, int] = {
+    "artc": laws.ARTC_SIGNED,
+    "artc_approaching": laws.ARTC_APPROACHING,
+    "armd": laws.ARMD,
+    "none": laws.NO_CRITERION,
 }
-
-DISTANCE_FLOOR_M = 1e-3
-"""Distances below this count as this, touching and penetrating pairs included.
-
-All criteria divide by distance and so grow without bound at contact, where they would drown the
-rest of the average. One millimetre was chosen as the fit of a capsule to a real link, below which
-ranking distances means nothing. `floored` tells which pairs were affected.
-"""
-
-
-STOP_MARGIN_RAD = 0.2
-"""A joint nearer to its stop than this is pushed back in the null space; chosen as what a tool that works at one place moves it by."""
-STOP_PUSH_RAD_S = 1.0
-"""Push at the stop itself, falling with the square of the way into the margin; above what the criteria push with."""
+"""What the laws know a criterion by."""
 
 
 @dataclass(frozen=True)
@@ -67,26 +50,17 @@ def artc_signed(distance_m: ArrayLike, rate_m_s: ArrayLike) -> float:
         distance_m: (P,), floored at `DISTANCE_FLOOR_M`.
         rate_m_s: (P,).
     """
-    found = _SIGNED(distance_m, rate_m_s)
-    if found is not None:
-        return found["value"].item()
-    return _mean(-finite("rate_m_s", rate_m_s) / _floor(distance_m))
+    return _means(distance_m, rate_m_s, approaching=False)[0]
 
 
 def artc_approaching(distance_m: ArrayLike, rate_m_s: ArrayLike) -> float:
     """Approaching ARTC (1/s): the mean of max(0, -rate/distance); opening pairs count 0."""
-    found = _APPROACHING(distance_m, rate_m_s)
-    if found is not None:
-        return found["value"].item()
-    return _mean(np.maximum(0.0, -finite("rate_m_s", rate_m_s)) / _floor(distance_m))
+    return _means(distance_m, rate_m_s, approaching=True)[0]
 
 
 def armd(distance_m: ArrayLike) -> float:
     """ARMD (1/m): the mean of 1/distance. 0 if no pairs."""
-    found = _ARMD(distance_m)
-    if found is not None:
-        return found["value"].item()
-    return _mean(1.0 / _floor(distance_m))
+    return _means(distance_m, 0.0, approaching=False)[1]
 
 
 def artc_signed_gradient(distance_m: ArrayLike, jacobian: ArrayLike) -> Array:
@@ -98,18 +72,12 @@ def artc_signed_gradient(distance_m: ArrayLike, jacobian: ArrayLike) -> Array:
         distance_m: (P,).
         jacobian: G = dd/dq, (P, n) in m/rad.
     """
-    found = _DESCENTS["artc"](distance_m, jacobian)
-    if found is not None:
-        return found["linear"].copy()
-    return _weighted_rows(jacobian, -1.0 / _floor(distance_m))
+    return objective("artc", distance_m, 0.0, jacobian).linear
 
 
 def armd_gradient(distance_m: ArrayLike, jacobian: ArrayLike) -> Array:
     """Gradient of ARMD in the joint positions (n,): -(1/P) sum of G/d^2."""
-    found = _DESCENTS["armd"](distance_m, jacobian)
-    if found is not None:
-        return found["linear"].copy()
-    return _weighted_rows(jacobian, -1.0 / _floor(distance_m) ** 2)
+    return objective("armd", distance_m, 0.0, jacobian).linear
 
 
 def objective(
@@ -137,27 +105,21 @@ def objective(
     Raises:
         WorkcellError: An unknown criterion, or an input that is not finite.
     """
-    if criterion in _DESCENTS:
-        rates = (rate_m_s, other_rate_m_s) if criterion == "artc_approaching" else ()
-        found = _DESCENTS[criterion](distance_m, jacobian, *rates)
-        if found is not None:
-            return NullspaceObjective(found["hessian"].copy(), found["linear"].copy())
-    rows = finite("jacobian", jacobian)
-    n = rows.shape[1]
-    hessian, linear = np.zeros((n, n)), np.zeros(n)
-    if criterion == "artc":
-        linear = artc_signed_gradient(distance_m, rows)
-    elif criterion == "armd":
-        linear = armd_gradient(distance_m, rows)
-    elif criterion == "artc_approaching":
-        closing = finite("rate_m_s", rate_m_s) < 0.0
-        scaled = np.where(closing[:, None], rows / _floor(distance_m)[:, None], 0.0)
-        other = finite("other_rate_m_s", other_rate_m_s) / _floor(distance_m)
-        pairs = max(1, len(rows))
-        hessian = scaled.T @ scaled / pairs
-        linear = scaled.T @ np.broadcast_to(other, len(rows)) / pairs
-    elif criterion != "none":
+    kind = KINDS.get(criterion)
+    if kind is None:
         raise WorkcellError(f"criterion is {criterion!r}; must be one of {', '.join(CRITERIA)}")
+    rows = np.asarray(finite("jacobian", jacobian), order="C")
+    distance, rate, other, _ = alike(
+        finite("distance_m", distance_m),
+        finite("rate_m_s", rate_m_s),
+        finite("other_rate_m_s", other_rate_m_s),
+        np.zeros(len(rows)),
+    )
+    pairs, n = rows.shape
+    hessian, linear = np.zeros((n, n)), np.zeros(n)
+    laws.objective(
+        kind, rows, distance, rate, other, np.arange(pairs), np.arange(n), hessian, linear
+    )
     return NullspaceObjective(hessian=hessian, linear=linear)
 
 
@@ -180,39 +142,18 @@ def with_room_to_stops(
         weight: Weight of the criterion against 1/2 |q'|^2, > 0: the push is a velocity, and does not
             grow with it.
     """
-    found = _STOPS(
-        q_rad,
-        lower_rad,
-        upper_rad,
-        objective.linear,
-        setting=(STOP_MARGIN_RAD, STOP_PUSH_RAD_S, weight),
+    q, lower, upper = alike(
+        finite("q_rad", q_rad),
+        np.asarray(lower_rad, dtype=float),
+        np.asarray(upper_rad, dtype=float),
     )
-    if found is not None:
-        if not found["any"][0]:
-            return objective
-        return NullspaceObjective(objective.hessian, found["pushed"].copy())
-    q = finite("q_rad", q_rad)
-    lower, upper = np.asarray(lower_rad, dtype=float), np.asarray(upper_rad, dtype=float)
-    below = np.maximum(STOP_MARGIN_RAD - (q - lower), 0.0) / STOP_MARGIN_RAD
-    above = np.maximum(STOP_MARGIN_RAD - (upper - q), 0.0) / STOP_MARGIN_RAD
-    if not (below.any() or above.any()):
-        return objective
-    push = STOP_PUSH_RAD_S * (below * below - above * above)
-    return NullspaceObjective(objective.hessian, objective.linear - push / weight)
+    linear = np.array(objective.linear, dtype=float)
+    laws.push_from_stops(q, np.arange(len(q)), lower, upper, weight, linear)
+    return NullspaceObjective(objective.hessian, linear)
 
 
-def floored(distance_m: ArrayLike) -> NDArray[np.bool_]:
-    """Which pairs (P,) are nearer than `DISTANCE_FLOOR_M` and so were counted at the floor."""
-    return finite("distance_m", distance_m) < DISTANCE_FLOOR_M
-
-
-def _floor(distance_m: ArrayLike) -> Array:
-    return np.maximum(finite("distance_m", distance_m), DISTANCE_FLOOR_M)
-
-
-def _mean(terms: Array) -> float:
-    return float(np.add.reduce(terms)) / terms.size if terms.size else 0.0
-
-
-def _weighted_rows(jacobian: ArrayLike, weights: Array) -> Array:
-    return weights @ finite("jacobian", jacobian) / max(1, len(weights))
+def _means(distance_m: ArrayLike, rate_m_s: ArrayLike, *, approaching: bool) -> tuple[float, float]:
+    """ARTC and ARMD of all pairs."""
+    distance, rate = alike(finite("distance_m", distance_m), finite("rate_m_s", rate_m_s))
+    artc, armd, _ = laws.means(distance, rate, np.arange(len(distance)), approaching)
+    return artc, armd

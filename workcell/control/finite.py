@@ -39,10 +39,8 @@ def all_finite(array: NDArray[np.float64]) -> bool:
 
 
 def alike(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """The arrays broadcast against each other; as they are where they have one shape already."""
-    if all(array.shape == arrays[0].shape for array in arrays[1:]):
-        return arrays
-    return tuple(np.broadcast_arrays(*arrays))
+    """The arrays broadcast against each other, C-contiguous; as they are where they are so already."""
+    return tuple(np.asarray(array, order="C") for array in np.broadcast_arrays(*arrays))
 
 
 def require_finite(tick: int, values: NDArray[np.float64], what: str) -> None:

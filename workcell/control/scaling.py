@@ -4,7 +4,8 @@ In: distances of the watched pairs and the two parts of their rates, a from the 
 scaled, b from everything else. Out: the largest factor s in [0, 1] that keeps every time to
 collision at t_min or above, d + t_min (s a + b) >= 0; for b = 0 that is paper equation 16. A
 governor then bounds how fast the factor rises and respects what the joints can accelerate.
-The factor applies to the arm's whole joint velocity, null-space part included.
+The factor applies to the arm's whole joint velocity, null-space part included. The arithmetic is
+`laws.speed_scale`.
 """
 
 from __future__ import annotations
@@ -16,13 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import alike, finite
-from workcell.control.kernels.library import ArrayFunction
+from workcell.control.laws import speed_scale as laws
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
-
-_PAIRWISE = ArrayFunction("pairwise_factor", "distance", "own", "other")
-_INTERVAL = ArrayFunction("acceleration_interval", "previous", "wanted", "limit")
 
 Limiter = Literal["none", "ttc", "rise", "acceleration", "braking", "infeasible"]
 
@@ -102,37 +100,12 @@ def pairwise_factor(
     _require_positive("t_min_s", t_min_s)
     if not 0.0 <= standoff_m < np.inf:
         raise WorkcellError(f"standoff_m is {standoff_m}; must be a finite number >= 0")
-    found = _PAIRWISE(distance_m, rate_own_m_s, rate_other_m_s, setting=(t_min_s, standoff_m))
-    if found is not None:
-        factor, required, short = found["found"].tolist()
-        pair, short_pair = found["which"].tolist()
-        return ScaleBound(factor, pair, required, short, short_pair)
     distance, own, other = alike(
         finite("distance_m", distance_m),
         finite("rate_own_m_s", rate_own_m_s),
         finite("rate_other_m_s", rate_other_m_s),
     )
-    allowance = (distance - standoff_m) / t_min_s + other
-    closing = own < 0.0
-    required = np.full(distance.shape, np.inf)
-    with np.errstate(over="ignore"):  # A vanishing closing rate holds any pair, or none.
-        np.divide(allowance, -own, out=required, where=closing)
-    if distance.size == 0:
-        return ScaleBound(1.0, -1, np.inf, 0.0, -1)
-    pair = int(required.argmin())
-    least = float(required[pair])
-    factor = 0.0 if least <= 0.0 else min(least, 1.0)
-    # A pair that sets the factor is met exactly, and only rounding would say otherwise.
-    margin = np.where(closing & (allowance >= 0.0), 0.0, allowance + factor * own)
-    worst = int(margin.argmin())
-    short = max(0.0, -float(margin[worst]))
-    return ScaleBound(
-        factor=factor,
-        pair=pair if least < 1.0 else -1,
-        required=least,
-        shortfall_m_s=short,
-        shortfall_pair=worst if short > 0.0 else -1,
-    )
+    return ScaleBound(*laws.pairwise_factor(distance, own, other, t_min_s, standoff_m)[:5])
 
 
 def slow_near(distance_m: ArrayLike, stop_m: float, slow_m: float) -> ScaleBound:
@@ -151,24 +124,8 @@ def slow_near(distance_m: ArrayLike, stop_m: float, slow_m: float) -> ScaleBound
     """
     if not stop_m < slow_m < np.inf:
         raise WorkcellError(f"slow_m is {slow_m}; must be a finite number above stop_m = {stop_m}")
-    distance = finite("distance_m", distance_m)
-    if not distance.size:
-        return ScaleBound(1.0, -1, np.inf, 0.0, -1)
-    pair = int(np.argmin(distance))
-    required = float((distance[pair] - stop_m) / (slow_m - stop_m))
-    factor = min(1.0, max(0.0, required))
-    return ScaleBound(factor, pair if factor < 1.0 else -1, required, 0.0, -1)
-
-
-def equation16(distance_m: ArrayLike, rate_m_s: ArrayLike, t_min_s: float) -> float:
-    """The paper's factor t*/t_min (equation 16), in [0, 1], for an arm among things that stand.
-
-    Args:
-        distance_m: (P,).
-        rate_m_s: (P,), caused by the scaled arm alone.
-        t_min_s: > 0.
-    """
-    return pairwise_factor(distance_m, rate_m_s, 0.0, t_min_s).factor
+    distance = np.asarray(finite("distance_m", distance_m), order="C")
+    return ScaleBound(*laws.slow_near(distance, stop_m, slow_m)[:5])
 
 
 def acceleration_interval(
@@ -190,30 +147,15 @@ def acceleration_interval(
         WorkcellError: An input is not finite or not positive where it must be.
     """
     _require_positive("period_s", period_s)
-    found = _INTERVAL(previous_rad_s, wanted_rad_s, limit_rad_s2, setting=period_s)
-    if found is not None:
-        lowest, highest = found["found"].tolist()
-        return AccelerationInterval(lowest, highest, feasible=True)
     previous, wanted, limit = alike(
         finite("previous_rad_s", previous_rad_s),
         finite("wanted_rad_s", wanted_rad_s),
         finite("limit_rad_s2", limit_rad_s2),
     )
-    if not limit.min(initial=np.inf) > 0.0:
+    lowest, highest, feasible, bad = laws.acceleration_interval(previous, wanted, limit, period_s)
+    if bad >= 0:
         raise WorkcellError(f"limit_rad_s2 is {limit.tolist()}; every entry must be > 0")
-    change = limit * period_s
-    lowest, highest, standing_can_stop = 0.0, 1.0, True
-    # An arm's few joints are done one by one in a fifth of the time that arrays of them take.
-    for v, w, reach in zip(previous.tolist(), wanted.tolist(), change.tolist(), strict=True):
-        if w == 0.0:
-            standing_can_stop &= abs(v) <= reach
-        else:  # A joint that hardly moves leaves the factor free: the quotients are infinite.
-            ends = (v - reach) / w, (v + reach) / w
-            lowest, highest = max(lowest, min(ends)), min(highest, max(ends))
-    if lowest <= highest and standing_can_stop:
-        return AccelerationInterval(lowest, highest, feasible=True)
-    least = _least_violation(previous / change, wanted / change)
-    return AccelerationInterval(least, least, feasible=False)
+    return AccelerationInterval(lowest, highest, feasible)
 
 
 class FactorGovernor:
@@ -313,24 +255,6 @@ def smallest_t_min(
     _require_positive("deceleration_m_s2", deceleration_m_s2)
     braking_s = closing_speed_m_s / deceleration_m_s2
     return reaction_s + (braking_s if other_keeps_coming else braking_s / 2.0)
-
-
-def _least_violation(previous: Array, wanted: Array) -> float:
-    """The s in [0, 1] that minimises max |s wanted - previous|.
-
-    The maximum is convex and piecewise linear in s, so its minimum lies where two of the lines
-    +-(s wanted - previous) cross or at an end of the range; there are few enough to try them all.
-    """
-    slope = np.concatenate([wanted, -wanted])
-    offset = np.concatenate([-previous, previous])
-    slope_difference = slope[:, None] - slope
-    crosses = slope_difference != 0.0
-    with np.errstate(over="ignore"):  # Lines almost parallel cross far outside the range.
-        crossings = (offset - offset[:, None])[crosses] / slope_difference[crosses]
-    candidates = np.concatenate([[0.0, 1.0], crossings[(crossings > 0.0) & (crossings < 1.0)]])
-    worst = np.abs(np.outer(candidates, wanted) - previous).max(axis=1)
-    # The smallest factor among equally good ones, so that the result is the same everywhere.
-    return float(candidates[worst <= worst.min() * (1.0 + 1e-12)].min())
 
 
 def _require_positive(name: str, value: float) -> None:

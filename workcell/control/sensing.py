@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
-from workcell.control.compiled import CompiledWatched
 from workcell.control.finite import require_finite
 from workcell.control.grasp import Grasps
-from workcell.control.kernels.library import kernels
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.control.share import Watched
@@ -50,7 +48,7 @@ class Sensing:
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
         )
         self.grasps = Grasps(cell)
-        self.watched = _watched(cell)
+        self.watched = Watched(len(cell.pairs), [arm.dofs for arm in cell.arms], cell.model.nv)
 
     def measure(
         self,
@@ -114,11 +112,3 @@ class Sensing:
             artc_per_s=artc,
             armd_per_m=armd,
         )
-
-
-def _watched(cell: Cell) -> Watched:
-    """Of a cell's pairs, in compiled code where there is any."""
-    found, dofs = kernels(), [arm.dofs for arm in cell.arms]
-    if found is None or not len(cell.pairs):
-        return Watched(len(cell.pairs), dofs, cell.model.nv)
-    return CompiledWatched(found, len(cell.pairs), dofs, cell.model.nv)

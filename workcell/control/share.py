@@ -4,46 +4,42 @@
     Share     one arm's part of them: what the others cause, the program of its inverse kinematics,
               the factor that keeps every time to collision, whether a command keeps it
 
-What is written here is the law, in NumPy; `compiled.py` does the same in compiled code where there is any.
-Equations: docs/theory.md sections 2, 5 and 6.
+What is kept here from tick to tick are the arrays; the arithmetic is in `laws`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import mink
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control import criteria, ttc
-from workcell.control.criteria import NullspaceObjective
+from workcell.control.criteria import KINDS, NullspaceObjective
 from workcell.control.ik import ArmIk, IkSolution
+from workcell.control.laws import criteria, pair_rule, program, speed_scale, time_to_collision
+from workcell.control.laws.pair_rule import TASK_SLACK_M_S
 from workcell.control.proximity import Proximity
-from workcell.control.scaling import (
-    AccelerationInterval,
-    ScaleBound,
-    acceleration_interval,
-    pairwise_factor,
-    slow_near,
-)
+from workcell.control.scaling import AccelerationInterval, ScaleBound
 from workcell.control.ttc import SmallestTtc
+from workcell.errors import WorkcellError
 from workcell.scenario import Control
 from workcell.scene.addresses import ArmAddresses
 
+__all__ = [
+    "TASK_SLACK_M_S",
+    "WAYS",
+    "Allowance",
+    "ArmPairs",
+    "Keeping",
+    "Rates",
+    "Share",
+    "Watched",
+]
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-TASK_SLACK_M_S = 1e-5
-"""The tool task's own velocity is known up to its regularisation; without this slack it could seem to break the very
-rows it defines. Ten micrometres a second is 0.1 % of the slowest closing speed that matters, d_min / t_min."""
-AT_REST_M_S = 1e-4
-"""Rates below this at d_min count as standing: an arm that starts to leave is first moved by the last digits of its
-tool error, which may point either way, and must not be held for that."""
-PRESSED_M_S = 1e-3
-"""Opening rate another arm's motion must leave missing before this arm gives way; above servo noise, below any intent."""
-PRESSED_MEETING_M_S = 0.03
-"""The same for what is meant to meet, where a hand is near that trembles: 0.1 mm at 10 Hz move at up to 20 mm/s."""
 
 WAYS = 3
 """Velocities that an arm may count on another arm to have: what it was last commanded, what is asked of it, and what its
@@ -98,7 +94,11 @@ class Watched:
         """(P,) pairs that do not count now: an instrument against the hand that holds it."""
         self.ways_rad_s = np.zeros((WAYS, nv))
         """(WAYS, nv) what each arm may be counted on to do in this tick."""
-        self._dofs = dofs
+        self._owner = np.full(nv, -1, dtype=np.int64)
+        for arm, own in enumerate(dofs):
+            self._owner[own] = arm
+        self._part = np.zeros(len(dofs))
+        self._velocity = np.zeros(nv)
 
     def take(self, proximity: Proximity, jacobian: Array) -> None:
         """Take this tick's distances and G."""
@@ -116,21 +116,23 @@ class Watched:
         Raises:
             WorkcellError: a number is not finite.
         """
-        distance, rate = self.distance_m, self.jacobian @ velocity_rad_s
-        kappa = (
-            ttc.reciprocal_first_order(distance, rate)
-            if accel_m_s2 is None
-            else ttc.reciprocal_second_order(distance, rate, accel_m_s2)
+        rate = np.empty(len(self.distance_m))
+        self._velocity[...] = velocity_rad_s
+        order, accel = (1, self.distance_m) if accel_m_s2 is None else (2, accel_m_s2)
+        ttc_s, first, nearest, cause, bad = time_to_collision.rates(
+            self.jacobian, self.distance_m, self._velocity, accel, order, self.silent, self._owner,
+            self._part, rate,
+        )  # fmt: skip
+        if bad >= 0:
+            raise WorkcellError(
+                f"watched pair {bad}: its distance {self.distance_m[bad]}, its rate or its second derivative is not finite"
+            )
+        return Rates(
+            rate,
+            SmallestTtc(ttc_s, first),
+            nearest if len(rate) else None,
+            None if cause < 0 else cause,
         )
-        if not len(rate):
-            return Rates(rate, ttc.smallest(kappa), None, None)
-        first = ttc.smallest(np.where(self.silent, 0.0, kappa))
-        nearest = int(np.where(self.silent, np.inf, distance).argmin())
-        cause = None
-        if first.pair >= 0:
-            row = self.jacobian[first.pair]
-            cause = int(np.argmin([row[dofs] @ velocity_rad_s[dofs] for dofs in self._dofs]))
-        return Rates(rate, first, nearest, cause)
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,20 @@ class Share:
         self.kept_other_m_s: Array | None = None
         """(R,) the same when every time to collision was last kept."""
 
+        n, answered = len(self.arm.dofs), len(pairs.owned)
+        self._moved, self._averaged, self._owned, self._dof = (
+            np.ascontiguousarray(k, dtype=np.int64)
+            for k in (pairs.moved, pairs.averaged, pairs.owned, self.arm.dofs)
+        )
+        self._standing = np.ascontiguousarray(pairs.standing)
+        self._task, self._velocity, self._before = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._qvel = np.zeros(watched.jacobian.shape[1])
+        self._push = np.zeros((n, n)), np.zeros(n)
+        self._nothing = np.zeros((n, n)), np.zeros(n)
+        self._work, self._rates = np.zeros((4, answered)), np.zeros(len(watched.distance_m))
+        self._keeping = _room_for_keeping(answered)
+        ik.space.reserve(len(pairs.moved) + 6)
+
     @property
     def other_owned_m_s(self) -> Array:
         """(R,) of the pairs it answers for."""
@@ -200,10 +216,12 @@ class Share:
 
     def surroundings(self, *, approaching: bool) -> tuple[float, float]:
         """ARTC in 1/s, signed or of what approaches, and ARMD in 1/m."""
-        distance = self.watched.distance_m.take(self.pairs.averaged)
-        rate = self.watched.rate_m_s.take(self.pairs.averaged)
-        artc = criteria.artc_approaching if approaching else criteria.artc_signed
-        return artc(distance, rate), criteria.armd(distance)
+        artc, armd, bad = criteria.means(
+            self.watched.distance_m, self.watched.rate_m_s, self._averaged, approaching
+        )
+        if bad >= 0:
+            raise WorkcellError(f"watched pair {bad}: its distance or its rate is not finite")
+        return artc, armd
 
     def count_on_others(self, *, static: bool) -> None:
         """Take `other_m_s` from what the other arms may be counted on to do.
@@ -211,11 +229,14 @@ class Share:
         A support arm counts on the least favourable of their ways, as they may be kept from doing at
         once what is asked of them; a priority arm on what they were commanded. Static: they stand.
         """
-        ways = self.watched.ways_rad_s[: WAYS if self.support else 1] * self._foreign
-        if static:
-            self.other_m_s[...] = 0.0
-        else:
-            self.other_m_s[...] = (self.watched.jacobian @ ways.T).min(axis=1)
+        bad = pair_rule.predicted_rates(
+            self.watched.jacobian, self._moved, self._foreign, self._ways(static), self.other_m_s
+        )
+        if bad >= 0:
+            raise FloatingPointError(f"watched pair {bad}: what others do to it is not finite")
+
+    def _ways(self, static: bool) -> Array:
+        return self.watched.ways_rad_s[: 0 if static else WAYS if self.support else 1]
 
     def solve(
         self,
@@ -237,52 +258,33 @@ class Share:
         Raises:
             FloatingPointError: a number is not finite.
         """
+        watched, ik, space = self.watched, self.ik, self.ik.space
+        ik.take(self._configuration)
+        self._task[...], self._before[...] = task_rad_s, previous_rad_s
+        self._qvel[...] = qvel
+        kind, wish = KINDS[settings.criterion], self._nothing
+        if push is not None:
+            kind, wish = criteria.NO_CRITERION, self._push
+            wish[0][...], wish[1][...] = push.hessian, push.linear
         static = self.support and settings.variant == "static"
-        self.count_on_others(static=static)
-        objective = self._criterion(qvel, settings) if push is None else push
-        rows, allowed = self.self_motion_rows(task_rad_s, settings)
-        return self.ik.solve(self._configuration, previous_rad_s, objective, rows, allowed)
+        code, culprit, rows = program.arm_program(
+            watched.jacobian, watched.distance_m, watched.rate_m_s, self._ways(static),
+            self._foreign, self._moved, self._averaged, self._dof, self._task, self._qvel, kind,
+            self.support, *wish, ik.criterion.gain, settings.t_min_s, settings.standoff_m,
+            settings.d_min_m, ik.qpos, *ik.joints, self._before, ik.dt_s, ik.tool_rows,
+            ik.tool_rates, ik.tool_count, self.other_m_s, self._rates, space.rows, space.bounds,
+            space.smallest, space.largest, space.H, space.c, space.lower, space.upper, space.sense,
+        )  # fmt: skip
+        if code != program.FINE:
+            raise FloatingPointError(self._not_finite(code, culprit))
+        return ik.solve_written(rows)
 
-    def _criterion(self, qvel: Array, settings: Control) -> NullspaceObjective:
-        pairs, arm = self.pairs.averaged, self.arm
-        rows, gain = self.rows(pairs), self.ik.criterion.gain
-        objective = criteria.objective(
-            settings.criterion,
-            self.watched.distance_m.take(pairs),
-            rows @ qvel[arm.dofs] if self.support else self.watched.rate_m_s.take(pairs),
-            rows,
-            other_rate_m_s=self.other_m_s.take(pairs),
-        )
-        if settings.criterion == "none" or gain == 0.0:
-            return objective
-        q_rad = self._configuration.data.qpos[arm.qpos]
-        return criteria.with_room_to_stops(objective, q_rad, arm.lower_rad, arm.upper_rad, gain)
-
-    def self_motion_rows(self, task_rad_s: Array, settings: Control) -> tuple[Array, Array]:
-        """(K, n) rows of G and (K,) the smallest rate allowed to each, of the pairs that could be brought below t_min.
-
-        A row never asks for more than the tool's task alone gives: what the path or the operator
-        wants is not the null space's to refuse.
-        """
-        moved = self.pairs.moved
-        rows = self.rows(moved)
-        gap = self.watched.distance_m.take(moved) - settings.standoff_m
-        allowed = gap * (-1.0 / settings.t_min_s)
-        allowed[gap <= settings.d_min_m] = 0.0
-        allowed -= self.other_m_s.take(moved)
-        allowed = np.minimum(allowed, rows @ task_rad_s - TASK_SLACK_M_S)
-        # The rest cannot be violated at any allowed velocity.
-        near = allowed > -np.abs(rows) @ self.arm.velocity_limit_rad_s
-        return rows[near], allowed[near]
-
-    def counted(self, settings: Control) -> tuple[Array, NDArray[np.bool_]]:
-        """(R,) distances that the rule counts with, and whether each is at d_min.
-
-        From there on no way is left, but for what is meant to meet.
-        """
-        counted = self.watched.distance_m.take(self.pairs.owned)
-        reached = (counted <= settings.d_min_m) & ~self.meeting
-        return np.where(reached, np.minimum(counted, 0.0), counted), reached
+    def _not_finite(self, code: int, culprit: int) -> str:
+        where = {
+            program.PAIR_NOT_FINITE: f", in watched pair {culprit}",
+            program.JOINT_NOT_FINITE: f", in joint {self.arm.joints[culprit]}",
+        }.get(code, "")
+        return f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite{where}"
 
     def allow(
         self, wanted_rad_s: Array, command_rad_s: Array, period_s: float, settings: Control
@@ -295,65 +297,45 @@ class Share:
             period_s: Of control.
             settings: In force.
         """
-        own = self.rows(self.pairs.owned) @ wanted_rad_s
-        bound = self.bound(own, self.other_owned_m_s, settings)
-        reach = acceleration_interval(
-            command_rad_s, wanted_rad_s, self.arm.acceleration_limit_rad_s2, period_s
+        bound, must_yield = self._scale(wanted_rad_s, settings)
+        self._before[...] = command_rad_s
+        lowest, highest, feasible, bad = speed_scale.acceleration_interval(
+            self._before, self._velocity, self.ik.joints[4], period_s
         )
-        return Allowance(bound, self.pressed(bound, own, settings), reach)
-
-    def bound(self, own_m_s: Array, other_m_s: Array, settings: Control) -> ScaleBound:
-        """The pairwise rule (R,), (R,); pairs at d_min or nearer may only be opened. With order 2, equation (16) on the second-order time."""
-        counted, reached = self.counted(settings)
-        if reached.any():
-            own_m_s, other_m_s = (
-                np.where(reached & (np.abs(rate) < AT_REST_M_S), 0.0, rate)
-                for rate in (own_m_s, other_m_s)
+        if bad >= 0:
+            raise WorkcellError(
+                f"joint {self.arm.joints[bad]}: its velocity is not finite or its acceleration limit not positive"
             )
+        return Allowance(bound, must_yield, AccelerationInterval(lowest, highest, feasible))
+
+    def _scale(self, velocity_rad_s: Array, settings: Control) -> tuple[ScaleBound, bool]:
+        """The speed scale of a velocity (n,), and whether the arm must yield; see `laws.speed_scale.arm_scale`."""
+        watched, rule = self.watched, speed_scale.BY_TIME
+        accel = watched.accel_m_s2
         if settings.slow_down == "distance":
-            return slow_near(counted, settings.d_min_m, settings.slow_distance_m)
-        bound = pairwise_factor(
-            counted, own_m_s, other_m_s, settings.t_min_s, standoff_m=settings.standoff_m
-        )
-        if self.watched.accel_m_s2 is None:
-            return bound
-        # Only pairs this arm closes itself can be held by slowing down; leaving is not slowed either way.
-        second = np.where(
-            own_m_s < 0.0,
-            ttc.reciprocal_second_order(
-                counted,
-                own_m_s + other_m_s,
-                self.watched.accel_m_s2[self.pairs.owned],
-                standoff_m=settings.standoff_m,
-            ),
-            0.0,
-        )
-        first = ttc.smallest(second)
-        factor = min(1.0, first.ttc_s / settings.t_min_s)
-        if factor >= bound.factor:
-            return bound
-        return replace(bound, factor=factor, pair=first.pair, required=factor)
-
-    def pressed(self, bound: ScaleBound, own_m_s: Array, settings: Control) -> bool:
-        """Whether standing is not enough for a pair that this arm can do something about.
-
-        Nothing it does opens a pair with its own base; to give way for that would only stop its work.
-        """
-        if bound.shortfall_m_s <= PRESSED_M_S:
-            return False
-        spared = self.other_owned_m_s + self.meeting * PRESSED_MEETING_M_S
-        spared = np.where(self.pairs.standing, np.maximum(spared, 0.0), spared)
-        return self.bound(own_m_s, spared, settings).shortfall_m_s > PRESSED_M_S
+            rule = speed_scale.BY_DISTANCE
+        elif accel is not None:
+            rule = speed_scale.BY_SECOND_ORDER_TIME
+        self._velocity[...] = velocity_rad_s
+        found, must_yield = speed_scale.arm_scale(
+            watched.jacobian, watched.distance_m, self.other_m_s,
+            watched.distance_m if accel is None else accel, self._owned, self.meeting,
+            self._standing, self._dof, self._velocity, rule, settings.t_min_s, settings.standoff_m,
+            settings.d_min_m, settings.slow_distance_m, self._work,
+        )  # fmt: skip
+        if found[5] >= 0:
+            raise WorkcellError(
+                f"watched pair {self._owned[found[5]]}: its distance or rate is not finite"
+            )
+        return ScaleBound(*found[:5]), must_yield
 
     def is_free(self, velocity_rad_s: Array, settings: Control) -> bool:
         """Whether no pair would limit the arm at this velocity (n,)."""
-        own = self.rows(self.pairs.owned) @ velocity_rad_s
-        return self.bound(own, self.other_owned_m_s, settings).factor == 1.0
+        return self._scale(velocity_rad_s, settings)[0].factor == 1.0
 
     def keeps(self, command_rad_s: Array, settings: Control) -> bool:
         """Whether a command (n,) leaves every pair its time to collision, and none to be opened; remembered if so."""
-        keep = self.kept(command_rad_s, settings)
-        if keep.short.any() or keep.needs_more.any():
+        if not self._keep(command_rad_s, settings, self._keeping):
             return False
         self.remember()
         return True
@@ -364,22 +346,28 @@ class Share:
 
     def kept(self, command_rad_s: Array, settings: Control) -> Keeping:
         """How far a command (n,) keeps the times to collision, pair by pair."""
-        rows = self.rows(self.pairs.owned)
-        counted, reached = self.counted(settings)
-        allowance = (counted - settings.standoff_m) / settings.t_min_s + self.other_owned_m_s
-        slack = np.where(reached, AT_REST_M_S, TASK_SLACK_M_S)
-        needed, opening = np.minimum(-allowance, 0.0), rows @ command_rad_s
-        before = 0.0
-        if self.kept_other_m_s is not None:
-            before = self.kept_other_m_s - self.other_owned_m_s
-        return Keeping(
-            rows=rows,
-            allowance_m_s=allowance,
-            needed_m_s=needed,
-            needs_more=opening < needed - slack,
-            short=allowance + opening < -slack,
-            others_alone=(allowance < 0.0) | (allowance + before + opening >= -slack),
-        )
+        found = _room_for_keeping(len(self._owned))
+        self._keep(command_rad_s, settings, found)
+        return Keeping(self.rows(self.pairs.owned), *found)
+
+    def _keep(self, command_rad_s: Array, settings: Control, found: tuple[Any, ...]) -> bool:
+        """Whether a command keeps every pair; what it does to each is written, see `laws.pair_rule.keeping`."""
+        watched, before = self.watched, self.kept_other_m_s
+        self._velocity[...] = command_rad_s
+        return pair_rule.keeping(
+            watched.jacobian, watched.distance_m, self.other_m_s,
+            self.other_owned_m_s if before is None else before, self._owned, self.meeting,
+            self._dof, self._velocity, settings.t_min_s, settings.standoff_m, settings.d_min_m,
+            *found,
+        )  # fmt: skip
+
+
+def _room_for_keeping(pairs: int) -> tuple[Any, ...]:
+    """Arrays (R,) that `laws.pair_rule.keeping` writes: allowances, needs, and what holds of each pair."""
+    return (
+        np.empty(pairs), np.empty(pairs), np.empty(pairs, dtype=bool), np.empty(pairs, dtype=bool),
+        np.empty(pairs, dtype=bool),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -397,5 +385,5 @@ class Keeping:
     short: NDArray[np.bool_]
     """(R,) which fall short of their time to collision."""
     others_alone: NDArray[np.bool_]
-    """(R,) for which of them, if short, nothing but what the others do is the cause: they close too fast for
+    """(R,) where a time falls short, whether the others alone are the cause: they close too fast for
     an arm that stands, or faster than when every time was last kept."""

@@ -4,7 +4,7 @@ In: distances, closing rates and, for second order, accelerations of P pairs. Ou
 kappa = 1/t of each pair's estimated time to collision, the working quantity because it stays
 bounded where t does not: 0 when a pair never meets, infinite when it has met. First order is
 t = -d/d' (paper equation 8), second order the smallest positive root of d''/2 t^2 + d' t + d = 0
-(paper equation 11). Plain arrays; no model is needed.
+(paper equation 11). Plain arrays; no model is needed. The arithmetic is `laws.time_to_collision`.
 """
 
 from __future__ import annotations
@@ -15,22 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workcell.control.finite import alike, finite
-from workcell.control.kernels.library import ArrayFunction
+from workcell.control.laws import time_to_collision as laws
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
-
-GRAZING_TOLERANCE = 1e-12
-"""Relative size of a negative discriminant that still counts as a double root.
-
-Two motions that just touch have discriminant zero, which rounding turns into some 1e-16 of either
-sign. Chosen far above that, so that touching counts as a collision.
-"""
-
-
-_FIRST_ORDER = ArrayFunction("reciprocal_first_order", "distance", "rate")
-_SECOND_ORDER = ArrayFunction("reciprocal_second_order", "distance", "rate", "accel")
-_SMALLEST = ArrayFunction("smallest", "kappa")
 
 
 @dataclass(frozen=True)
@@ -62,18 +50,10 @@ def reciprocal_first_order(
         WorkcellError: An input is not finite.
     """
     standoff_m = _checked_standoff(standoff_m)
-    found = _FIRST_ORDER(distance_m, rate_m_s, setting=standoff_m)
-    if found is not None:
-        return found["kappa"].copy()
     distance, rate = alike(finite("distance_m", distance_m), finite("rate_m_s", rate_m_s))
-    gap = distance - standoff_m
-    if gap.size and gap.min() > 0.0:  # Nothing has met yet: the usual case, in a third of the time.
-        with np.errstate(over="ignore"):
-            return np.maximum(-rate, 0.0) / gap
-    kappa = np.zeros(gap.shape)
-    with np.errstate(over="ignore"):  # A vanishing gap rightly overflows to an infinite kappa.
-        np.divide(-rate, gap, out=kappa, where=(rate < 0.0) & (gap > 0.0))
-    return _with_contact(kappa, distance, gap, closing=rate < 0.0)
+    kappa = np.empty(distance.shape)
+    laws.reciprocal_first_order(distance.ravel(), rate.ravel(), standoff_m, kappa.ravel())
+    return kappa
 
 
 def reciprocal_second_order(
@@ -100,43 +80,16 @@ def reciprocal_second_order(
         WorkcellError: An input is not finite.
     """
     standoff_m = _checked_standoff(standoff_m)
-    found = _SECOND_ORDER(distance_m, rate_m_s, accel_m_s2, setting=standoff_m)
-    if found is not None:
-        return found["kappa"].copy()
     distance, rate, accel = alike(
         finite("distance_m", distance_m),
         finite("rate_m_s", rate_m_s),
         finite("accel_m_s2", accel_m_s2),
     )
-    gap = distance - standoff_m
-    ahead = gap > 0.0
-    reach = np.where(ahead, gap, 1.0)
-    # Both terms of the discriminant are divided by the larger one's size, so that squaring
-    # neither overflows nor underflows.
-    curvature = np.sqrt(np.abs(accel)) * np.sqrt(reach)
-    size = np.maximum(np.abs(rate), curvature)
-    moving = ahead & (size > 0.0)
-    size = np.where(moving, size, 1.0)
-    speed = rate / size
-    discriminant = speed**2 - 2.0 * np.sign(accel) * (curvature / size) ** 2
-    root = np.sqrt(np.maximum(discriminant, 0.0))
-    with np.errstate(over="ignore"):
-        closing_root = size * (root - speed) / (2.0 * reach)
-        opening_root = np.divide(
-            -accel, size * (root + speed), out=np.zeros(gap.shape), where=moving & (speed > 0.0)
-        )
-    kappa = np.where(speed > 0.0, opening_root, closing_root)
-    kappa = np.where(moving & (discriminant >= -GRAZING_TOLERANCE), np.maximum(kappa, 0.0), 0.0)
-    return _with_contact(
-        kappa, distance, gap, closing=(rate < 0.0) | ((rate == 0.0) & (accel < 0.0))
+    kappa = np.empty(distance.shape)
+    laws.reciprocal_second_order(
+        distance.ravel(), rate.ravel(), accel.ravel(), standoff_m, kappa.ravel()
     )
-
-
-def time_from_reciprocal(kappa_per_s: ArrayLike) -> Array:
-    """Time to collision (s) for people: 1/kappa, infinite where kappa is 0, 0 where infinite."""
-    kappa = np.asarray(kappa_per_s, dtype=float)
-    with np.errstate(over="ignore"):  # A time beyond the range of floats is infinite.
-        return np.divide(1.0, kappa, out=np.full(kappa.shape, np.inf), where=kappa != 0.0)
+    return kappa
 
 
 def smallest(kappa_per_s: ArrayLike) -> SmallestTtc:
@@ -148,27 +101,14 @@ def smallest(kappa_per_s: ArrayLike) -> SmallestTtc:
     Raises:
         WorkcellError: A reciprocal is NaN or negative.
     """
-    found = _SMALLEST(kappa_per_s)
-    if found is not None:
-        return SmallestTtc(found["ttc"].item(), found["pair"].item())
-    kappa = np.asarray(kappa_per_s, dtype=float)
-    if kappa.size == 0:
-        return SmallestTtc(ttc_s=np.inf, pair=-1)
-    if not kappa.min() >= 0.0:  # The smallest of numbers with a NaN among them is NaN.
-        pair = int(np.argmax(~(kappa >= 0.0)))
-        raise WorkcellError(f"kappa_per_s[{pair}] is {kappa[pair]}; must be a number >= 0")
-    pair = int(kappa.argmax())
-    largest = float(kappa[pair])
-    ttc_s = 1.0 / largest if largest > 0.0 else np.inf
-    return SmallestTtc(ttc_s=ttc_s, pair=pair if ttc_s < np.inf else -1)
+    kappa = np.ascontiguousarray(kappa_per_s, dtype=float)
+    ttc_s, pair, bad = laws.smallest(kappa)
+    if bad >= 0:
+        raise WorkcellError(f"kappa_per_s[{bad}] is {kappa[bad]}; must be a number >= 0")
+    return SmallestTtc(ttc_s, pair)
 
 
 def _checked_standoff(standoff_m: float) -> float:
     if not 0.0 <= standoff_m < np.inf:
         raise WorkcellError(f"standoff_m is {standoff_m}; must be a finite number >= 0")
     return standoff_m
-
-
-def _with_contact(kappa: Array, distance: Array, gap: Array, *, closing: NDArray) -> Array:
-    """Set the pairs that have already met: there is no time left, so kappa is infinite."""
-    return np.where((distance <= 0.0) | ((gap <= 0.0) & closing), np.inf, kappa)

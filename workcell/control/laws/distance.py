@@ -69,8 +69,10 @@ def measure(
         at = sensor_adr[pair]
         on_i = (sensordata[at], sensordata[at + 1], sensordata[at + 2])
         on_j = (sensordata[at + 3], sensordata[at + 4], sensordata[at + 5])
-        reading = dot(on_i, on_i) + dot(on_j, on_j)
-        if reading == 0.0:
+        seen = False
+        for entry in range(6):
+            seen = seen or sensordata[at + entry] != 0.0
+        if not seen:
             return BEYOND_CUTOFF, pair
         put(surface_i, pair, on_i)
         put(surface_j, pair, on_j)
@@ -97,7 +99,7 @@ def measure(
         along_m = length(along)
         if along_m == 0.0:
             along, along_m, chosen = (1.0, 0.0, 0.0), 1.0, True
-        if not math.isfinite(away + reading):
+        if not math.isfinite(away + dot(on_i, on_i) + dot(on_j, on_j)):
             return NOT_FINITE, pair
         n = over(along, along_m)
         distance[pair], degenerate[pair] = away, chosen

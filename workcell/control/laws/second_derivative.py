@@ -11,8 +11,16 @@ import math
 from workcell.control.laws import law, part
 from workcell.control.laws.distance import CROSSING_TOLERANCE_M, half_axis
 from workcell.control.laws.vectors import (
-    cross, dot, into_frame, length, minus, plus, row, second_half, times,
-)  # fmt: skip
+    cross,
+    dot,
+    into_frame,
+    length,
+    minus,
+    plus,
+    row,
+    second_half,
+    times,
+)
 
 PARALLEL_SIN_SQUARED = 1e-8
 """Squared sine of the angle between axes that count as parallel.

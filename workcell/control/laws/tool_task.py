@@ -12,9 +12,18 @@ import math
 
 from workcell.control.laws import law, part
 from workcell.control.laws.vectors import (
-    cross, dot, into_frame, into_frame_of_quaternion, length, minus, plus, quaternion, row,
-    second_half, times,
-)  # fmt: skip
+    cross,
+    dot,
+    into_frame,
+    into_frame_of_quaternion,
+    length,
+    minus,
+    plus,
+    quaternion,
+    row,
+    second_half,
+    times,
+)
 
 FINE, TARGET_NOT_FINITE, STATE_NOT_FINITE = 0, 1, 2
 """What `tool_task` answers."""

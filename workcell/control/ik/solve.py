@@ -1,0 +1,334 @@
+"""Inverse kinematics of one arm: tool twist and null-space criterion -> joint velocities.
+
+One quadratic program an arm, in q̇ of the arm's own joints, so that a solver's tolerance means radians a second:
+
+    minimise  ½ q̇ᵀ H q̇ + cᵀ q̇        (least motion plus the null-space criterion)
+    subject to  J q̇ = tool twist       (the tool is never traded for the null space)
+                position, velocity and acceleration limits
+                ḋ >= bound              (the time-to-collision inequality on self-motion)
+
+When it has no solution, weaker programs follow in a fixed order, and the answer says which one it came from.
+The arithmetic is `laws.tool_task`, `laws.joint_limits` and `laws.program`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mink
+import numpy as np
+from mink.tasks.task import BaseTask
+from numpy.typing import NDArray
+
+from workcell.control.criteria import NullspaceObjective
+from workcell.control.ik.mink_tasks import CriterionTask, JointLimit, ToolTask, TtcLimit
+from workcell.control.ik.qp import SOLVER_TOLERANCE_RAD_S, ProgramSpace, solution
+from workcell.control.laws import joint_limits, program, tool_task
+from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
+from workcell.scene.addresses import ArmAddresses
+
+Array = NDArray[np.float64]
+
+SOFT_TASK_COST = 50.0
+"""Weight of the tool task where the tool has to give way to the joint limits: a direction in which a metre a second takes the
+joints more than 50 rad/s is let go, so that an arm at the end of its reach does not thrash; others lose 0.2 %."""
+
+OPTIMAL = "optimal"
+TASK_ONLY = "task_only"
+TASK_SOFT = "task_soft"
+STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class IkSolution:
+    """Joint velocities of one arm."""
+
+    velocity_rad_s: Array
+    """(n,)"""
+    status: str
+    """`optimal`, or the fallback that answered: `task_only` (no self-motion), `task_soft` (the tool gives way), `stopped`."""
+
+
+class ArmIk:
+    """The inverse kinematics of one arm.
+
+    `tasks`, `limits` and `constraints` are what defines it: `mink.solve_ik` with them gives the same
+    velocities. `solve` assembles the same program for the arm's own joints alone, in q̇, so that a
+    solver's tolerance means radians a second, and each task is evaluated once a tick.
+
+    Args:
+        arm: Its addresses and limits.
+        nv: Size of the model's tangent space.
+        dt_s: Control period.
+        task_gain_per_s: Rate at which tool errors are corrected.
+        criterion_gain: Weight of the null-space criterion.
+    """
+
+    def __init__(
+        self,
+        arm: ArmAddresses,
+        *,
+        nv: int,
+        dt_s: float,
+        task_gain_per_s: float,
+        criterion_gain: float,
+    ):
+        n = len(arm.dofs)
+        self.arm = arm
+        self.dt_s = dt_s
+        self.tool = ToolTask(arm.tool_site_name, gain_per_s=task_gain_per_s, dt_s=dt_s)
+        self.criterion = CriterionTask(arm.dofs, nv=nv, dt_s=dt_s, gain=criterion_gain)
+        self.limit = JointLimit(arm, nv=nv)
+        self.ttc = TtcLimit(t_min_s=1.0)
+        self.space = ProgramSpace(n)
+        """Where its programs are written."""
+        self.tool_rows, self.tool_rates = np.zeros((6, n)), np.zeros(6)
+        """(6, n) and (6,) what the last `aim` asks of the tool: rows q̇ = rates, of which the first `tool_count` count."""
+        self.tool_count = 6
+        """How many of the tool's six the last `aim` has asked for."""
+        self.tool_error = (0.0, 0.0)
+        """How far the tool was from its target then, m and rad."""
+        self.path_rad_s = np.zeros(n)
+        """(n,) the part of the last `aim` that the target's own motion asks for, corrections of the tool error aside."""
+        self.joints: tuple[Array, ...] = tuple(
+            np.ascontiguousarray(values, dtype=kind)
+            for values, kind in (
+                (arm.qpos, np.int64),
+                (arm.lower_rad, float),
+                (arm.upper_rad, float),
+                (arm.velocity_limit_rad_s, float),
+                (arm.acceleration_limit_rad_s2, float),
+            )
+        )
+        """(n,) where they are in qpos, their ranges, their speed and acceleration limits."""
+        self._pose = np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3)
+        self._before, self._wanted = np.zeros(n), np.zeros(n)
+        self._configuration: mink.Configuration | None = None
+        self._frames: tuple[Any, ...] = ()
+        self.qpos = np.zeros(0)
+        """Joint positions of the configuration last taken."""
+
+    @property
+    def tasks(self) -> list[BaseTask]:
+        """The cost of the full program."""
+        return [self.criterion]
+
+    @property
+    def constraints(self) -> list[mink.Task]:
+        """Its equality."""
+        return [self.tool]
+
+    @property
+    def limits(self) -> list[mink.Limit]:
+        """Its inequalities."""
+        return [self.limit, self.ttc]
+
+    def take(self, configuration: mink.Configuration) -> None:
+        """Use this configuration; its arrays never move, so they are asked for once."""
+        if configuration is self._configuration:
+            return
+        model, data, arm = configuration.model, configuration.data, self.arm
+        bodies, to_tool = model.dof_bodyid[arm.dofs], []
+        body = int(model.site_bodyid[arm.tool_site])
+        while body:
+            to_tool.append(body)
+            body = int(model.body_parentid[body])
+        self._configuration, self.qpos = configuration, data.qpos
+        self._frames = (
+            data.site_xpos, data.site_xmat, data.cdof, data.subtree_com, arm.tool_site,
+            np.ascontiguousarray(arm.dofs, dtype=np.int64),
+            model.body_rootid[bodies].astype(np.int64), np.isin(bodies, to_tool),
+        )  # fmt: skip
+        self._gram, self._solved = np.zeros((6, 6)), np.zeros((2, 6))
+
+    def aim(
+        self,
+        configuration: mink.Configuration,
+        target: Target,
+        *,
+        catch_up_m_s: float = np.inf,
+        free_rotation: bool = False,
+    ) -> Array:
+        """Take this tick's target and state.
+
+        Args:
+            configuration: The state.
+            target: Where the tool should be and how it should move.
+            catch_up_m_s: Largest speed at which a tool error is made good, turning counted as length.
+            free_rotation: Leave the rotation about the tool's own axis to the null space.
+
+        Returns:
+            (n,) the smallest joint velocity that gives the tool its wanted twist, limits aside.
+
+        Raises:
+            FloatingPointError: The target or the state is not finite.
+        """
+        self.take(configuration)
+        position, wxyz, velocity, turn = self._pose
+        position[...], wxyz[...] = target.position_m, target.wxyz
+        velocity[...], turn[...] = target.velocity_m_s, target.angular_velocity_rad_s
+        whole, path = np.empty(self.space.n), np.empty(self.space.n)
+        code, error_m, error_rad = tool_task.tool_task(
+            *self._frames, *self._pose, self.tool.gain, self.dt_s, float(catch_up_m_s),
+            TURN_LENGTH_M_PER_RAD, bool(free_rotation), self.tool_rows, self.tool_rates,
+            self._gram, self._solved, whole, path,
+        )  # fmt: skip
+        if code != tool_task.FINE:
+            what = "target" if code == tool_task.TARGET_NOT_FINITE else "Jacobian"
+            raise FloatingPointError(
+                f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite, in the tool's {what}"
+            )
+        self.tool_count = 5 if free_rotation else 6
+        self.tool_error = error_m, error_rad
+        self.path_rad_s = path
+        return whole
+
+    def solve(
+        self,
+        configuration: mink.Configuration,
+        previous_rad_s: Array,
+        objective: NullspaceObjective,
+        rows: Array,
+        smallest_rate_m_s: Array,
+    ) -> IkSolution:
+        """The first program, from the full one down, that has a finite solution within its limits.
+
+        Args:
+            configuration: The state `aim` was given.
+            previous_rad_s: (n,) velocity from which the acceleration counts.
+            objective: The null-space criterion.
+            rows: (R, n) rows G of the pairs to be kept apart.
+            smallest_rate_m_s: (R,) smallest rate allowed to each.
+
+        Raises:
+            FloatingPointError: an input is not finite; the solver itself would not say so.
+        """
+        space = self._boxed(configuration, previous_rad_s, rows, smallest_rate_m_s)
+        space.H[...], space.c[...] = objective.hessian, objective.linear
+        program.least_motion(self.criterion.gain, space.H, space.c)
+        pairs = len(smallest_rate_m_s)
+        if not self._constrain(pairs, program.HARD, self.tool_count):
+            raise FloatingPointError(
+                f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
+            )
+        return self.solve_written(pairs)
+
+    def solve_written(self, pairs: int) -> IkSolution:
+        """Solve the full program that was written into `space` with so many rows of pairs, else weaker ones.
+
+        Weaker are: no criterion and rows that may be missed; then a tool that gives way, too; then to stop.
+        """
+        space, tool = self.space, self.tool_count
+        velocity, status = solution(space.program(pairs + tool)), OPTIMAL
+        if velocity is None:
+            space.H[...], space.c[...] = np.eye(space.n), 0.0
+            status = TASK_ONLY
+            if self._constrain(pairs, program.SOFT, tool):
+                velocity = solution(space.program(pairs + tool))
+        if velocity is None:
+            rows, rates = self.tool_rows[:tool], self.tool_rates[:tool]
+            weighted = SOFT_TASK_COST**2 * rows.T
+            space.H[...], space.c[...] = np.eye(space.n) + weighted @ rows, -weighted @ rates
+            status = TASK_SOFT
+            if self._constrain(pairs, program.SOFT, 0):
+                velocity = solution(space.program(pairs))
+        if velocity is None:
+            velocity, status = np.zeros(space.n), STOPPED
+        return IkSolution(self._settled(velocity), status)
+
+    def followed(
+        self, configuration: mink.Configuration, previous_rad_s: Array, wanted_rad_s: Array
+    ) -> Array:
+        """(n,) what the joint limits let through of a wanted velocity (n,) after a previous one (n,).
+
+        Raises:
+            FloatingPointError: A number is not finite.
+        """
+        self.take(configuration)
+        self._before[...], self._wanted[...] = previous_rad_s, wanted_rad_s
+        allowed = np.empty(self.space.n)
+        self._refuse(
+            joint_limits.within_limits(
+                self.qpos, *self.joints, self._before, self._wanted, self.dt_s, allowed
+            )
+        )
+        return allowed
+
+    def evade(
+        self,
+        configuration: mink.Configuration,
+        previous_rad_s: Array,
+        preferred_rad_s: Array,
+        rows: Array,
+        smallest_rate_m_s: Array,
+    ) -> Array | None:
+        """The motion nearest to a preferred one that opens what must open, the tool's task aside.
+
+        The rows may be missed, as little as possible, where the joint limits leave no other way.
+
+        Args:
+            configuration: The state.
+            previous_rad_s: (n,) velocity from which the acceleration counts.
+            preferred_rad_s: (n,) velocity to stay near to.
+            rows: (R, n) rows G of the pairs.
+            smallest_rate_m_s: (R,) rate each should have at least.
+
+        Returns:
+            (n,) joint velocity; None if the solver failed.
+
+        Raises:
+            FloatingPointError: A number is not finite.
+        """
+        space = self._boxed(configuration, previous_rad_s, rows, smallest_rate_m_s)
+        space.H[...], space.c[...] = np.eye(space.n), np.negative(preferred_rad_s)
+        if not self._constrain(len(smallest_rate_m_s), program.SOFT, 0):
+            raise FloatingPointError(
+                f"arm {self.arm.name}: the evasive motion was given a number that is not finite"
+            )
+        velocity = solution(space.program(len(smallest_rate_m_s)))
+        return None if velocity is None else self._settled(velocity)
+
+    def _boxed(
+        self,
+        configuration: mink.Configuration,
+        previous_rad_s: Array,
+        rows: Array,
+        smallest_rate_m_s: Array,
+    ) -> ProgramSpace:
+        """The space with the joint box and the pairs' rows written into it."""
+        self.take(configuration)
+        space, pairs = self.space, len(smallest_rate_m_s)
+        space.reserve(pairs + 6)
+        space.rows[:pairs], space.bounds[:pairs] = rows, smallest_rate_m_s
+        self.limit.previous_rad_s = self._before
+        self._before[...] = previous_rad_s
+        self._refuse(
+            joint_limits.joint_box(
+                self.qpos, *self.joints, self._before, self.dt_s, space.smallest, space.largest
+            )
+        )
+        return space
+
+    def _constrain(self, pairs: int, mark: int, tool: int) -> bool:
+        """Write the constraints of a program; false where a number is not finite."""
+        space = self.space
+        return program.constrain(
+            space.H, space.c, space.smallest, space.largest, space.bounds, pairs, mark,
+            self.tool_rows, self.tool_rates, tool, space.rows, space.lower, space.upper, space.sense,
+        )  # fmt: skip
+
+    def _settled(self, velocity: Array) -> Array:
+        """The solver keeps inequalities to a tolerance; the joint limits are meant exactly."""
+        settled = np.empty(self.space.n)
+        joint_limits.settle(
+            velocity, self.space.smallest, self.space.largest, SOLVER_TOLERANCE_RAD_S, settled
+        )
+        return settled
+
+    def _refuse(self, joint: int) -> None:
+        """Name the joint that a law has found not to be finite; -1 is none."""
+        if joint >= 0:
+            raise FloatingPointError(
+                f"joint {self.arm.joints[joint]} of arm {self.arm.name}: its position or velocity is not finite"
+            )
