@@ -39,13 +39,7 @@ class Bench:
     def geoms(self) -> list[tuple[int, int]]:
         """Geom ids of the gated pairs."""
         pair = self.gate.pair
-        return list(
-            zip(
-                self.proximity.geom_i[pair].tolist(),
-                self.proximity.geom_j[pair].tolist(),
-                strict=True,
-            )
-        )
+        return [(int(i), int(j)) for i, j in self.proximity.geom[pair]]
 
     def distances(self) -> Array:
         """Of the gated pairs, by MuJoCo's own search."""

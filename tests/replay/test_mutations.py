@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from workcell.control import controller as module
+from workcell.control import pair_assignment
 from workcell.control.controller import Controller
 from workcell.control.proximity import PairGeometry
 from workcell.control.share import Share
@@ -38,20 +39,21 @@ def scaled_too_far(monkeypatch, duet):
 
 def pair_dropped(monkeypatch, duet):
     """The arm does not answer for the pair that slows it down."""
-    share = Controller._share_pairs
+    assigned = pair_assignment.assigned
     limiting = duet.trace["nurse.limiting_pair"]
     dropped = int(limiting[limiting >= 0][0])
 
-    def mutant(self):
-        share(self)
-        for arm in self._arms:
-            pairs, left = arm.share.pairs, arm.share.pairs.owned != dropped
-            fewer = dataclasses.replace(
-                pairs, owned=pairs.owned[left], standing=pairs.standing[left]
+    def mutant(*arguments):
+        return [
+            dataclasses.replace(
+                pairs,
+                owned=pairs.owned[pairs.owned != dropped],
+                standing=pairs.standing[pairs.owned != dropped],
             )
-            arm.share = self._watched.share(arm.ik, self._belief, fewer, support=arm.support)
+            for pairs in assigned(*arguments)
+        ]
 
-    monkeypatch.setattr(Controller, "_share_pairs", mutant)
+    monkeypatch.setattr(pair_assignment, "assigned", mutant)
 
 
 def sign_flipped(monkeypatch, duet):
@@ -100,8 +102,7 @@ def command_delayed(monkeypatch, duet):
         record = step(self, qpos, qvel)
         late = getattr(self, "_late", record.command_rad_s)
         self._late = record.command_rad_s
-        record.command_rad_s = late
-        return record
+        return record._replace(command_rad_s=late)
 
     monkeypatch.setattr(Controller, "step", mutant)
 
@@ -144,7 +145,7 @@ def test_the_text_reference_catches_it_too(duet, tmp_path, monkeypatch, mutate, 
 
 def test_a_comment_and_a_log_line_are_no_difference(duet, tmp_path, monkeypatch, caplog):
     source = inspect.getsource(module)
-    line = "        record = self._measure("
+    line = "        sensed = self._sensing.measure("
     assert source.count(line) == 1
     talkative = "        # Says what it does.\n        logging.info('tick %d', self.tick)\n" + line
     copy = types.ModuleType("talkative_controller")

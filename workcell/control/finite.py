@@ -40,7 +40,11 @@ def all_finite(array: NDArray[np.float64]) -> bool:
 
 def alike(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """The arrays broadcast against each other, C-contiguous; as they are where they are so already."""
-    return tuple(np.asarray(array, order="C") for array in np.broadcast_arrays(*arrays))
+    shape = np.broadcast_shapes(*(array.shape for array in arrays))
+    return tuple(
+        np.asarray(array, order="C") if array.shape == shape else np.full(shape, array)
+        for array in arrays
+    )
 
 
 def require_finite(tick: int, values: NDArray[np.float64], what: str) -> None:

@@ -178,14 +178,14 @@ def test_the_mildest_way_back_gives_every_pair_its_rate(rows):
     own, needed = np.array(rows).reshape(-1, 2).T.copy()
     factor = speed_scale.backing_factor(own, needed)
     tried = np.linspace(-1.0, 0.0, 2001)
-    enough = (np.outer(tried, own) >= needed - 1e-12).all(axis=1)
     if np.isnan(factor):
-        inside = (np.outer(tried, own) >= needed + 1e-3).all(axis=1)
-        assert not inside.any()
+        assert not (np.outer(tried, own) >= needed).all(axis=1).any()
         return
     assert -1.0 <= factor <= 0.0
-    assert (factor * own >= needed - 1e-9).all()
-    assert not enough.any() or factor >= tried[enough].max() - 1e-9
+    rounding = 1e-12 * (1.0 + np.abs(needed))
+    assert (factor * own >= needed - rounding).all()
+    milder = tried[tried > factor + 1e-9]
+    assert not (np.outer(milder, own) >= needed + 1e-12).all(axis=1).any()
 
 
 def test_the_rule_is_written_once():
@@ -193,7 +193,7 @@ def test_the_rule_is_written_once():
     control = Path(pair_rule.__file__).parent.parent
     dividing = [
         (file.name, ast.unparse(node))
-        for file in [*control.glob("laws/*.py"), *control.glob("ik/*.py"), control / "share.py"]
+        for file in control.glob("**/*.py")
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.BinOp)
         and isinstance(node.op, ast.Div)

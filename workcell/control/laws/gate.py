@@ -19,6 +19,7 @@ import math
 import numpy as np
 
 from workcell.control.laws import law, part
+from workcell.control.laws.pair_rule import allowance
 
 POSITION, SPEED, ACCELERATION, JERK = 1, 2, 3, 4
 """What bounds an interval of `joint_box`."""
@@ -302,7 +303,7 @@ def demands(
         only_open = near[p] <= hold or (near[p] <= d_min and not meeting[p])
         if only_open:
             gap = min(gap, 0.0)
-        rate = -(gap / t_min + other[p])
+        rate = -allowance(gap, other[p], t_min, 0.0)
         needed[p] = 0.0 if rate > 0.0 else rate  # what is not a number stays so
         slack[p] = slack_at_rest if only_open else slack_moving
         for e in range(first[p], first[p + 1]):
