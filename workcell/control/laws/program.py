@@ -1,4 +1,4 @@
-"""The quadratic program of an arm's inverse kinematics, in daqp's form (docs/theory.md section 9).
+"""The quadratic program of an arm's inverse kinematics, in daqp's form (docs/theory.md section 7).
 
     minimise    1/2 q' H q' + c q'      H = I + gain H_criterion, c = gain c_criterion
     subject to  the joint box,  rows q' >= bounds (the rule on self-motion),  the tool's rows q' = rates

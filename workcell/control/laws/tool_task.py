@@ -1,4 +1,4 @@
-"""The tool task: error, rows and the smallest motion that does it (docs/theory.md section 9).
+"""The tool task: error, rows and the smallest motion that does it (docs/theory.md section 7).
 
 The error is the twist that turns and moves the tool into its target within one second, as the logarithm of
 the motion between them, in the tool's frame. Its rows are minus the inverse left Jacobian of that motion times the
