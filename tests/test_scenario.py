@@ -79,6 +79,118 @@ def test_what_does_not_fit_is_refused_by_key_value_and_what_is_allowed(tmp_path,
         assert name in message
 
 
+@pytest.mark.parametrize(
+    ("override", "names"),
+    [
+        (
+            "expect.completed={mim = 1}",
+            ("expect.completed.mim", "unknown key", "equals, max, min", "'min'?"),
+        ),
+        ("vary.x={mean = 1, st = 2}", ("vary.x.st", "unknown key", "choices, log, max, mean")),
+        ("simulation.perod_s=0.01", ("simulation.perod_s", "did you mean 'period_s'?")),
+        ("arm.nurse.job.0.kind=meat", ("arm.nurse.job.0", "'meat'", "'meet'")),
+    ],
+)
+def test_typing_errors_are_answered_with_what_is_allowed(tmp_path, override, names):
+    message = refusal(tmp_path, cells.duet(), override)
+    for name in names:
+        assert name in message
+
+
+EXTREME = (
+    "1e308",
+    "-1e308",
+    "5e-324",
+    "nan",
+    "inf",
+    "-inf",
+    "1" + "0" * 400,
+    "1" * 5000,
+    "-1",
+    "1e12",
+)
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "simulation.period_s",
+        "simulation.latency_ticks",
+        "control.t_min_s",
+        "control.criterion_gain",
+        "arm.nurse.priority",
+        "arm.nurse.job_repeat",
+        "arm.nurse.job.0.speed_m_s",
+        "arm.nurse.job.0.dwell_s",
+        "check.every_ticks",
+    ],
+)
+@pytest.mark.parametrize("value", EXTREME)
+def test_extreme_numbers_are_refused_by_key(tmp_path, key, value):
+    assert key.rpartition(".")[2] in refusal(tmp_path, cells.duet(), f"{key}={value}")
+
+
+@pytest.mark.parametrize(
+    ("override", "names"),
+    [
+        ("arm.nurse.job_repeat=9000", ("arm.nurse.job_repeat = 9000", "18,000 jobs", "10,000")),
+        ("simulation.duration_s=604800", ("simulation.duration_s", "7.56e+07 ticks", "50,000,000")),
+        ("simulation.duration_s=0.001", ("simulation.duration_s", "0.125 ticks", "1 to")),
+    ],
+)
+def test_work_without_end_is_refused(tmp_path, override, names):
+    message = refusal(tmp_path, cells.duet(), override)
+    for name in names:
+        assert name in message
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "told"),
+    [
+        ("arm", "floor", "a part of every scene"),
+        ("arm", "world", "a part of every scene"),
+        ("obstacle", "scalpel_capsule", "a part of instrument scalpel"),
+        ("obstacle", "scalpel", "an obstacle and of an instrument"),
+        ("instrument", "surgeon", "an arm and of an instrument"),
+    ],
+)
+def test_names_that_clash_with_the_scene_are_refused(tmp_path, table, name, told):
+    content = cells.duet()
+    content["instrument"] = [{"name": "scalpel", "position_m": [0.0, 2.0, 0.0]}]
+    content["obstacle"] = [
+        {"name": "block", "shape": "sphere", "size_m": [0.1], "position_m": [0.0, 2.0, 0.0]}
+    ]
+    content[table][-1]["name"] = name
+    assert told in refusal(tmp_path, content)
+
+
+@pytest.mark.parametrize("value", ["a\u0000b", "a\u001b[31m", "/" + "c/" * 2500])
+@pytest.mark.parametrize("key", ["arm.nurse.model", "arm.surgeon.operator.file"])
+def test_paths_that_are_none_are_refused(tmp_path, key, value):
+    message = refusal(tmp_path, cells.duet(), f'{key}="{value}"')
+    assert key in message
+    assert len(message) < 2000
+
+
+def test_what_is_no_scenario_file_is_refused_in_time(tmp_path):
+    (tmp_path / "deep.toml").write_text("x = " + "[" * 20000)
+    (tmp_path / "digits.toml").write_text("x = " + "9" * 5000)
+    (tmp_path / "large.toml").write_text("#" * 5_000_000)
+    (tmp_path / "link.toml").symlink_to("/dev/zero")
+    assert "nested too deeply" in refusal(tmp_path, tmp_path / "deep.toml")
+    assert "not valid TOML" in refusal(tmp_path, tmp_path / "digits.toml")
+    assert "larger than" in refusal(tmp_path, tmp_path / "large.toml")
+    for path, told in (
+        (tmp_path / "link.toml", "not a file"),
+        (tmp_path, "not a file"),
+        ("a\0b", "no such"),
+    ):
+        with pytest.raises(InputError, match=told):
+            scenario.load(path)
+    with pytest.raises(InputError, match="File name too long"):
+        scenario.load("x" * 5000)
+
+
 def test_several_faults_are_reported_at_once(tmp_path):
     content = cells.duet(t_min_s=-1.0, d_min=0.01)
     content["arm"][0]["base_position_m"] = [0.0, float("nan"), 0.0]

@@ -7,14 +7,14 @@ is allowed.
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable, Sequence
 
 import tyro
 
 from workcell.cli import install, live, regression, run, scenarios, show, studies
-from workcell.cli.terminal import FAILED, REFUSED, stderr
-from workcell.errors import InputError, TraceError
+from workcell.cli.boundary import guarded
 
 COMMANDS: dict[str, Callable[..., int]] = {
     "list": scenarios.list_,
@@ -39,16 +39,15 @@ OLD_NAMES: dict[str, Callable[..., int]] = {"rerun": regression.rerun}
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the `workcell` command; returns the exit status."""
-    try:
-        return tyro.extras.subcommand_cli_from_dict(
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A path need not be text; what cannot be written in the terminal's encoding becomes an escape.
+            stream.reconfigure(errors="backslashreplace")
+    return guarded(
+        lambda: tyro.extras.subcommand_cli_from_dict(
             COMMANDS | OLD_NAMES, prog="workcell", args=arguments, description=__doc__
         )
-    except (InputError, TraceError) as error:
-        stderr.print(str(error), markup=False)
-        return REFUSED
-    except KeyboardInterrupt:
-        stderr.print("interrupted")
-        return FAILED
+    )
 
 
 if __name__ == "__main__":

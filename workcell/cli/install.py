@@ -12,6 +12,6 @@ def compile_() -> int:
 
         stdout.print(str(warm()))
     except OSError as error:
-        stderr.print(f"cannot keep what was compiled: {error}", markup=False)
+        stderr.print(f"cannot keep what was compiled: {error}")
         return FAILED
     return OK

@@ -236,7 +236,7 @@ def report(
     if file is None:
         return
     with file.open("w", encoding="utf-8") as stream:
-        long = Console(file=stream, width=160, highlight=False)
+        long = Console(file=stream, width=160, highlight=False, markup=False)
         long.print(f"{result.run}\nagainst {result.reference}\n{result.headline()}\n", markup=False)
         for note in result.notes:
             long.print(f"note: {note}", markup=False)
@@ -253,7 +253,7 @@ def _table(result: Comparison, most: int | None = None) -> Table:
     )  # fmt: skip
     for d in result.differences[:most]:
         table.add_row(
-            d.column + ("" if d.entry is None else f"[{d.entry}]").replace("[", r"\["),
+            d.column + ("" if d.entry is None else f"[{d.entry}]"),
             d.stage,
             str(d.first_tick),
             f"{d.first_time_s:.3f} s",

@@ -53,7 +53,7 @@ def sweep(
             progress=bar and (lambda now: bar(now.done, now.total)),
         )
     page = report.conclude(folder, report.command_line("sweep", scenario, options))
-    stdout.print(page.read_text(encoding="utf-8"), markup=False)
+    stdout.print(page.read_text(encoding="utf-8"))
     stdout.print(str(folder))
     if not complete:
         stderr.print("interrupted; --resume goes on")
@@ -93,8 +93,8 @@ def falsify(
             variations, target, folder, executor, runs=runs, seed=seed, limit=limit, progress=bar
         )
     verdict = "FAILS" if case.fails else "none failed; the worst"
-    stdout.print(f"{case.tried} runs, {verdict}: {case.scenario.description}", markup=False)
+    stdout.print(f"{case.tried} runs, {verdict}: {case.scenario.description}")
     for key, value in case.values.items():
-        stdout.print(f"  {key} = {value}", markup=False)
+        stdout.print(f"  {key} = {value}")
     stdout.print(str(folder / study.CASE_FILE))
     return FAILED if case.fails else OK

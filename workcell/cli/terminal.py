@@ -9,32 +9,35 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 OK, FAILED, REFUSED = 0, 1, 2
 """Exit statuses: as expected; it ran, but not as expected; the input was refused."""
 
-stdout = Console(highlight=False, soft_wrap=True)
-narrow = Console(highlight=False)
+# Names and paths may hold brackets and colons, which are not for rich to interpret.
+stdout = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
+narrow = Console(highlight=False, markup=False, emoji=False)
 """The same stream for tables: wrapped at the terminal's width, 80 columns where there is none."""
-stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def report(summary: dict, folder: Path) -> None:
+    """Say what was expected, what came out, and what stopped the run."""
     table = Table("expectation", "wanted", "measured", "held", box=None)
     for name, verdict in summary["expectations"].items():
         table.add_row(
             name,
             verdict["wanted"],
             verdict["measured"],
-            "yes" if verdict["held"] else "[red]NO[/red]",
+            Text("yes") if verdict["held"] else Text("NO", style="red"),
         )
     if summary["expectations"]:
         stdout.print(table)
     halt = summary["final_check"].get("halt")
     if halt:
-        stderr.print(f"stopped by the final check, {halt['state']}: {halt['reason']}", markup=False)
+        stderr.print(f"stopped by the final check, {halt['state']}: {halt['reason']}")
     if summary["metrics"]["fault"]:
-        stderr.print(f"stopped: {summary['metrics']['fault']}", markup=False)
+        stderr.print(f"stopped: {summary['metrics']['fault']}")
     stdout.print(
         f"{summary['scenario']}: {'all expectations held' if summary['held'] else 'NOT as expected'}; {folder}"
     )

@@ -7,21 +7,31 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from workcell.scenario.operators import Waypoint
-from workcell.scenario.values import Entry, Name, NonNegative, Positive, Table
+from workcell.scenario.values import (
+    MOST_WAYPOINTS,
+    Acceleration,
+    Duration,
+    DurationOrZero,
+    Entry,
+    Length,
+    Name,
+    Speed,
+    Table,
+)
 
 
 class _Motion(Table):
     """What every job with a path has; the acceleration bounds its start and its end."""
 
-    speed_m_s: Positive = 0.15
-    acceleration_m_s2: Positive = 0.5
+    speed_m_s: Speed = 0.15
+    acceleration_m_s2: Acceleration = 0.5
 
 
 class Move(_Motion):
     """Move the tool along waypoints."""
 
     kind: Literal["move"]
-    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1, max_length=MOST_WAYPOINTS)]
     free_rotation: bool = False
 
 
@@ -30,7 +40,7 @@ class Meet(_Motion):
 
     kind: Literal["meet"]
     arm: Name
-    dwell_s: NonNegative = 0.5
+    dwell_s: DurationOrZero = 0.5
 
 
 class Fetch(_Motion):
@@ -38,7 +48,7 @@ class Fetch(_Motion):
 
     kind: Literal["fetch"]
     instrument: Name
-    dwell_s: NonNegative = 0.5
+    dwell_s: DurationOrZero = 0.5
 
 
 class Present(_Motion):
@@ -47,7 +57,7 @@ class Present(_Motion):
     kind: Literal["present"]
     arm: Name
     entry: Entry = "left"
-    distance_m: Positive = 0.15
+    distance_m: Length = 0.15
     free_rotation: bool = False
 
 
@@ -58,7 +68,7 @@ class Exchange(_Motion):
     arm: Name
     instrument: Name
     direction: Literal["give", "take"]
-    dwell_s: NonNegative = 0.5
+    dwell_s: DurationOrZero = 0.5
 
 
 class Put(_Motion):
@@ -72,7 +82,7 @@ class Wait(Table):
     """Stand still."""
 
     kind: Literal["wait"]
-    duration_s: Positive
+    duration_s: Duration
 
 
 class Retreat(_Motion):

@@ -6,6 +6,7 @@ an error with all faults at once.
 
 from __future__ import annotations
 
+import contextlib
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from workcell import assets
-from workcell.errors import InputError
+from workcell.errors import InputError, did_you_mean, refused, shown
 from workcell.scenario.messages import messages
 from workcell.scenario.overrides import apply
 from workcell.scenario.schema import Scenario
+
+FILE_BYTES = 4_000_000
+"""Of the largest scenario file; chosen a hundred times the largest shipped one."""
 
 
 def find(scenario: str) -> Path:
@@ -25,13 +29,18 @@ def find(scenario: str) -> Path:
     Raises:
         InputError: neither a shipped name nor an existing file.
     """
-    if assets.scenario_file(scenario).is_file():
+    names = assets.scenario_names()
+    if scenario in names:
         return assets.scenario_file(scenario)
     path = Path(scenario)
-    if path.is_file():
-        return path
+    with refused(f"scenario {shown(scenario)}", OSError, ValueError, but="allowed is a path"):
+        if path.is_file():
+            return path
+        if path.exists():
+            raise InputError(f"scenario {shown(scenario)}: is not a file; allowed is a .toml file")
     raise InputError(
-        f"no such scenario: {scenario!r}; allowed: a path to a .toml file, or one of {', '.join(assets.scenario_names())}"
+        f"no such scenario: {shown(scenario)}; allowed: a path to a .toml file, or one of {', '.join(names)}"
+        f"{did_you_mean(path.stem, names)}"
     )
 
 
@@ -47,15 +56,23 @@ def load(scenario: str | Path, overrides: tuple[str, ...] = ()) -> Scenario:
         InputError: with every fault found, each naming key, value and what is allowed.
     """
     path = find(str(scenario))
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"not valid TOML: {error}", file=path) from error
+    content = _parsed(path)
     content.setdefault("name", path.stem)
     for override in overrides:
         apply(content, override, path)
     _resolve_models(content, path.parent)
     return validate(content, path)
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    with refused("cannot be read", OSError, file=path), path.open("rb") as file:
+        text = file.read(FILE_BYTES + 1)
+    if len(text) > FILE_BYTES:
+        raise InputError(f"is larger than {FILE_BYTES:,} bytes; no scenario is", file=path)
+    # A number of thousands of digits is a ValueError of Python, not of TOML.
+    with refused("not valid TOML", ValueError, RecursionError, file=path):
+        return tomllib.loads(text.decode("utf-8"))
 
 
 def validate(content: dict[str, Any], path: Path | None) -> Scenario:
@@ -80,11 +97,17 @@ def _resolve_models(content: dict[str, Any], folder: Path) -> None:
     """Make relative paths of arm files and recordings absolute; shipped names stay names."""
     arms = content.get("arm")
     for arm in arms if isinstance(arms, list) else []:
-        model = arm.get("model") if isinstance(arm, dict) else None
-        if isinstance(model, str) and model not in assets.model_names():
-            arm["model"] = str((folder / model).resolve())
-        operator = arm.get("operator") if isinstance(arm, dict) else None
-        for key in ("file", "run"):
-            path = operator.get(key) if isinstance(operator, dict) else None
-            if isinstance(operator, dict) and isinstance(path, str):
-                operator[key] = str((folder / path).resolve())
+        if not isinstance(arm, dict):
+            continue
+        if arm.get("model") not in assets.model_names():
+            _make_absolute(arm, "model", folder)
+        if isinstance(arm.get("operator"), dict):
+            for key in ("file", "run"):
+                _make_absolute(arm["operator"], key, folder)
+
+
+def _make_absolute(table: dict[str, Any], key: str, folder: Path) -> None:
+    if isinstance(table.get(key), str):
+        # What is no path at all stays as it is and is refused by its kind of value.
+        with contextlib.suppress(OSError, ValueError):
+            table[key] = str((folder / table[key]).resolve())

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from workcell.errors import did_you_mean, shown
 from workcell.scenario.schema import KINDS, Scenario
 
 
 def messages(error: ValidationError, content: dict[str, Any]) -> list[str]:
     """One line for each fault of a validation, `content` being what the file holds."""
-    return [_fault(item, content) for item in _roots(error.errors())]
+    items = error.errors(include_url=False, include_context=False)
+    return [line for item in _roots(items) for line in _fault(item, content)]
 
 
 def _roots(items: list[Any]) -> list[Any]:
@@ -28,7 +31,7 @@ def _roots(items: list[Any]) -> list[Any]:
     ]
 
 
-def _fault(item: Any, content: dict[str, Any]) -> str:
+def _fault(item: Any, content: dict[str, Any]) -> Iterator[str]:
     """One validation error in the words of the file: dotted key, value, what is allowed."""
     key: list[str] = []
     node: Any = content
@@ -42,14 +45,18 @@ def _fault(item: Any, content: dict[str, Any]) -> str:
         elif item["type"] == "missing":
             key.append(str(part))
     name = ".".join(key) or "scenario"
-    message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "missing":
-        return f"{name}: this key is missing and has no default"
-    if item["type"] == "extra_forbidden":
-        return f"{name} = {node!r}: unknown key; allowed here: {', '.join(_allowed(item['loc']))}"
-    if isinstance(node, dict):
-        return f"{name}: {message}"
-    return f"{name} = {node!r}: {message}"
+        yield f"{name}: this key is missing and has no default"
+    elif item["type"] == "extra_forbidden":
+        allowed = _allowed(item["loc"])
+        yield (
+            f"{name} = {shown(node)}: unknown key {key[-1]!r}; allowed here: {', '.join(allowed)}"
+            f"{did_you_mean(key[-1], allowed)}"
+        )
+    else:
+        for line in item["msg"].removeprefix("Value error, ").split("\n"):
+            # A whole table is no value that could be told in a line.
+            yield f"{name}: {line}" if isinstance(node, dict) else f"{name} = {shown(node)}: {line}"
 
 
 def _allowed(location: tuple[Any, ...]) -> list[str]:
@@ -57,21 +64,17 @@ def _allowed(location: tuple[Any, ...]) -> list[str]:
     node: Any = Scenario
     for part in location[:-1]:
         if isinstance(part, int):
-            continue
-        node = KINDS.get(part) or _table_of(node, part)
+            continue  # an entry of a list
+        if part in KINDS:
+            node = KINDS[part]
+        elif part in node.model_fields:
+            # A table of names (`[expect]`): the name comes next and stands for no table.
+            node = _table_in(node.model_fields[part].annotation) or node
     return sorted(node.model_fields)
 
 
-def _table_of(table: Any, key: str) -> Any:
-    """The model class behind a key, seen through tuples, unions and annotations."""
-    return _first_table(table.model_fields[key].annotation) or table
-
-
-def _first_table(annotation: Any) -> Any:
+def _table_in(annotation: Any) -> type[BaseModel] | None:
+    """The table behind a key, seen through lists, unions and annotations."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        found = _first_table(inner)
-        if found:
-            return found
-    return None
+    return next((found for inner in get_args(annotation) if (found := _table_in(inner))), None)

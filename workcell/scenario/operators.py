@@ -7,12 +7,21 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from workcell.scenario.values import (
+    MOST_JOBS,
+    MOST_WAYPOINTS,
+    Acceleration,
+    AngleOrZero,
+    Duration,
+    DurationOrZero,
+    FileName,
+    Length,
+    LengthOrZero,
     Name,
-    NonNegative,
-    Positive,
     Probability,
     Quaternion,
+    Speed,
     Table,
+    Turn,
     Vector3,
 )
 
@@ -34,41 +43,41 @@ class Waypoints(Table):
     """The tool follows a smooth path through waypoints, starting where it is; then, `repeat` times, back and forth along them."""
 
     kind: Literal["waypoints"]
-    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
-    speed_m_s: Positive = 0.15
-    acceleration_m_s2: Positive = 0.5
-    start_s: NonNegative = 0.0
-    repeat: Annotated[int, Field(ge=0)] = 0
-    pause_s: NonNegative = 0.0
+    waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1, max_length=MOST_WAYPOINTS)]
+    speed_m_s: Speed = 0.15
+    acceleration_m_s2: Acceleration = 0.5
+    start_s: DurationOrZero = 0.0
+    repeat: Annotated[int, Field(ge=0, le=MOST_JOBS)] = 0
+    pause_s: DurationOrZero = 0.0
 
 
 class Followed(Table):
     """An input that may leap: caps on the target that follows it, and what counts as a leap."""
 
-    max_speed_m_s: Positive = 0.5
-    max_acceleration_m_s2: Positive = 2.0
-    max_turn_rad_s: Positive = 1.0
-    max_turn_rad_s2: Positive = 4.0
-    jump_m: Positive = 0.05
-    jump_rad: Positive = 0.35
-    jump_confirm_s: NonNegative = 0.1
+    max_speed_m_s: Speed = 0.5
+    max_acceleration_m_s2: Acceleration = 2.0
+    max_turn_rad_s: Speed = 1.0
+    max_turn_rad_s2: Acceleration = 4.0
+    jump_m: Length = 0.05
+    jump_rad: Turn = 0.35
+    jump_confirm_s: DurationOrZero = 0.1
 
 
 class Recording(Followed):
     """The tool follows a recorded stream of poses; docs/teleop.md has the format and the rules."""
 
     kind: Literal["recording"]
-    file: str
-    start_s: NonNegative = 0.0
-    gap_s: Positive = 0.25
+    file: FileName
+    start_s: DurationOrZero = 0.0
+    gap_s: Duration = 0.25
 
 
 class Streamed(Followed):
     """Samples that come as they come; times are those after which a fault is named."""
 
-    stale_s: Positive = 0.1
-    late_s: Positive = 0.1
-    frozen_s: NonNegative = 0.0
+    stale_s: Duration = 0.1
+    late_s: Duration = 0.1
+    frozen_s: DurationOrZero = 0.0
 
 
 class Live(Streamed):
@@ -83,11 +92,11 @@ class Stream(Streamed):
     rate_hz: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False)] = 30.0
     jitter_s: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     gap_probability: Probability = 0.0
-    gap_s: tuple[Positive, Positive] = (0.1, 0.5)
+    gap_s: tuple[Duration, Duration] = (0.1, 0.5)
     burst_probability: Probability = 0.0
-    burst_s: Positive = 0.2
+    burst_s: Duration = 0.2
     spike_probability: Probability = 0.0
-    spike_m: Positive = 0.5
+    spike_m: Length = 0.5
     identity_probability: Probability = 0.0
 
     @model_validator(mode="after")
@@ -101,30 +110,30 @@ class Human(Table):
     """A simulated person who works at sites; positions are in the world. With the later keys a hostile one."""
 
     kind: Literal["human"]
-    sites: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
-    speed_m_s: Positive = 0.2
-    acceleration_m_s2: Positive = 0.5
-    pause_s: tuple[Positive, Positive] = (0.3, 2.0)
+    sites: Annotated[tuple[Waypoint, ...], Field(min_length=1, max_length=MOST_WAYPOINTS)]
+    speed_m_s: Speed = 0.2
+    acceleration_m_s2: Acceleration = 0.5
+    pause_s: tuple[Duration, Duration] = (0.3, 2.0)
     stop_probability: Probability = 0.3
     withdraw_probability: Probability = 0.1
     withdraw_m: Vector3 = (0.0, 0.0, 0.10)
-    withdraw_speed_m_s: Positive = 0.4
-    withdraw_acceleration_m_s2: Positive = 1.5
+    withdraw_speed_m_s: Speed = 0.4
+    withdraw_acceleration_m_s2: Acceleration = 1.5
     elbow_probability: Probability = 0.1
-    elbow_shift_m: Positive = 0.05
-    tremor_m: NonNegative = 6e-5
-    start_s: NonNegative = 0.5
+    elbow_shift_m: Length = 0.05
+    tremor_m: LengthOrZero = 6e-5
+    start_s: DurationOrZero = 0.5
     reach_out_probability: Probability = 0.0
-    reach_out_m: Positive = 0.8
-    reach_out_speed_m_s: Positive = 0.5
+    reach_out_m: Length = 0.8
+    reach_out_speed_m_s: Speed = 0.5
     flick_probability: Probability = 0.0
-    flick_m: Positive = 0.15
-    flick_rad: NonNegative = 0.5
+    flick_m: Length = 0.15
+    flick_rad: AngleOrZero = 0.5
     reversal_probability: Probability = 0.0
-    reversal_m: Positive = 0.1
+    reversal_m: Length = 0.1
     reversal_count: Annotated[int, Field(ge=1, le=100)] = 4
-    fast_speed_m_s: Positive = 2.0
-    fast_acceleration_m_s2: Positive = 15.0
+    fast_speed_m_s: Speed = 2.0
+    fast_acceleration_m_s2: Acceleration = 15.0
     stream: Stream | None = None
 
     @model_validator(mode="after")
@@ -138,7 +147,7 @@ class Joints(Table):
     """The arm repeats the joint motion of an arm of a recorded run, tick by tick; for fair races."""
 
     kind: Literal["joints"]
-    run: str
+    run: FileName
     arm: Name | None = None
 
 

@@ -19,14 +19,35 @@ from workcell.scenario.checks import fits_together
 from workcell.scenario.jobs import Job
 from workcell.scenario.operators import Operator
 from workcell.scenario.values import (
+    MOST_ARMS,
+    MOST_ENTRIES,
+    MOST_JOBS,
+    MOST_JOINTS,
+    MOST_THINGS,
+    SHORTEST_PERIOD_S,
+    Acceleration,
+    Description,
+    Duration,
+    DurationOrZero,
     Entry,
+    FileName,
     Finite,
+    JointPosition,
+    Label,
+    Length,
+    LengthOrZero,
+    Mass,
     Name,
+    Noise,
     NonNegative,
     Positive,
     Quaternion,
+    Shade,
+    Speed,
     Table,
     Vector3,
+    Whole,
+    at_least,
 )
 
 
@@ -34,11 +55,13 @@ class Simulation(Table):
     """How the plant is stepped."""
 
     plant: Literal["dynamic", "kinematic"] = "dynamic"
-    period_s: Annotated[float, Field(gt=0, le=0.02, allow_inf_nan=False)] = 0.002
-    duration_s: Positive = 30.0
+    period_s: Annotated[
+        float, Field(gt=0, le=0.02, allow_inf_nan=False), at_least(SHORTEST_PERIOD_S)
+    ] = 0.002
+    duration_s: Duration = 30.0
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    position_noise_rad: NonNegative = 0.0
-    velocity_noise_rad_s: NonNegative = 0.0
+    position_noise_rad: Noise = 0.0
+    velocity_noise_rad_s: Noise = 0.0
     latency_ticks: Annotated[int, Field(ge=0, le=1000)] = 0
     dropped_fraction: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
 
@@ -49,19 +72,19 @@ Criterion = Literal["artc", "artc_approaching", "armd", "none"]
 class Control(Table):
     """Parameters of the controller; docs/scenario.md gives the reason for each default."""
 
-    t_min_s: Positive = 1.0
-    d_min_m: Positive = 0.01
-    standoff_m: NonNegative = 0.0
+    t_min_s: Duration = 1.0
+    d_min_m: Length = 0.01
+    standoff_m: LengthOrZero = 0.0
     criterion: Criterion = "artc"
     order: Literal[1, 2] = 1
     variant: Literal["relative", "static"] = "relative"
     criterion_gain: NonNegative = 8.0
     task_gain_per_s: Positive = 10.0
-    rise_time_s: Positive = 0.25
-    reaction_s: NonNegative = 0.004
-    catch_up_m_s: Positive = 0.15
+    rise_time_s: Duration = 0.25
+    reaction_s: DurationOrZero = 0.004
+    catch_up_m_s: Speed = 0.15
     slow_down: Literal["ttc", "distance"] = "ttc"
-    slow_distance_m: Positive = 0.15
+    slow_distance_m: Length = 0.15
     yields: bool = True
     resolves_impasse: bool = True
     entry: Entry | Literal[""] = ""
@@ -71,24 +94,26 @@ class Arm(Table):
     """One arm of the cell."""
 
     name: Name
-    model: str
+    model: FileName
     base_position_m: Vector3 = (0.0, 0.0, 0.0)
     base_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
     home_rad: Annotated[
-        Annotated[tuple[Finite, ...], Field(min_length=1), Tag("joints")]
-        | Annotated[str, Field(pattern=r"^key:.+$"), Tag("keyframe")],
+        Annotated[
+            tuple[JointPosition, ...], Field(min_length=1, max_length=MOST_JOINTS), Tag("joints")
+        ]
+        | Annotated[str, Field(pattern=r"^key:.+$", max_length=200), Tag("keyframe")],
         Discriminator(lambda value: "keyframe" if isinstance(value, str) else "joints"),
     ]
-    locked: dict[str, Finite] = Field(default_factory=dict)
+    locked: dict[Label, JointPosition] = Field(default_factory=dict, max_length=MOST_JOINTS)
     allow_bare_housing: bool = False
-    tool_site: str = "tool"
-    elbow_site: str | None = None
-    priority: Annotated[int, Field(ge=0)] = 0
-    velocity_limit_rad_s: tuple[Positive, ...] | None = None
-    acceleration_limit_rad_s2: tuple[Positive, ...] | None = None
+    tool_site: Label = "tool"
+    elbow_site: Label | None = None
+    priority: Annotated[int, Field(ge=0, le=1000)] = 0
+    velocity_limit_rad_s: tuple[Speed, ...] | None = None
+    acceleration_limit_rad_s2: tuple[Acceleration, ...] | None = None
     operator: Operator | None = None
-    job: tuple[Job, ...] = ()
-    job_repeat: Annotated[int, Field(ge=1)] = 1
+    job: Annotated[tuple[Job, ...], Field(max_length=MOST_JOBS)] = ()
+    job_repeat: Annotated[int, Field(ge=1, le=MOST_JOBS)] = 1
 
     @model_validator(mode="after")
     def _driven_by_one(self) -> Arm:
@@ -112,10 +137,10 @@ class Obstacle(Table):
 
     name: Name
     shape: Literal["box", "sphere", "capsule", "cylinder"]
-    size_m: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
+    size_m: Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
     position_m: Vector3
     wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    rgba: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.75, 0.77, 0.8, 1.0)
+    rgba: tuple[Shade, Shade, Shade, Shade] = (0.75, 0.77, 0.8, 1.0)
 
     @model_validator(mode="after")
     def _size_fits_shape(self) -> Obstacle:
@@ -129,14 +154,14 @@ class Instrument(Table):
     """A rod that arms can hold: a capsule along its own z axis. It lies where it is placed, or an arm holds it from the start."""
 
     name: Name
-    radius_m: Positive = 0.008
-    half_length_m: Positive = 0.07
-    mass_kg: Positive = 0.1
+    radius_m: Length = 0.008
+    half_length_m: Length = 0.07
+    mass_kg: Mass = 0.1
     position_m: Vector3 | None = None
     wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
     held_by: Name | None = None
-    rests_on: tuple[Name, ...] = ()
-    rgba: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.85, 0.65, 0.2, 1.0)
+    rests_on: Annotated[tuple[Name, ...], Field(max_length=MOST_THINGS)] = ()
+    rgba: tuple[Shade, Shade, Shade, Shade] = (0.85, 0.65, 0.2, 1.0)
 
     @model_validator(mode="after")
     def _is_somewhere(self) -> Instrument:
@@ -150,7 +175,7 @@ class Bound(Table):
 
     min: Finite | None = None
     max: Finite | None = None
-    equals: bool | int | str | None = None
+    equals: bool | Whole | Label | None = None
 
     @model_validator(mode="after")
     def _says_something(self) -> Bound:
@@ -162,8 +187,8 @@ class Bound(Table):
 class Change(Table):
     """Parameters of `[control]` that change while the scenario runs, as a person changes them in `workcell teleop`."""
 
-    time_s: NonNegative
-    t_min_s: Positive | None = None
+    time_s: DurationOrZero
+    t_min_s: Duration | None = None
     criterion: Criterion | None = None
     entry: Entry | None = None
 
@@ -187,8 +212,8 @@ class Check(Table):
     """The final check in its own process; docs/final_check.md says what is lost without it."""
 
     enabled: bool = True
-    d_min_m: Positive | None = None
-    every_ticks: Annotated[int, Field(ge=1)] = 5
+    d_min_m: Length | None = None
+    every_ticks: Annotated[int, Field(ge=1, le=10_000)] = 5
     stops_priority_arms: bool = False
 
 
@@ -210,12 +235,12 @@ class Variation(Table):
     """How a sweep draws one key: exactly one of a range, a normal distribution, choices, or a spread
     around the value in the file (entry by entry for a list)."""
 
-    min: float | int | None = None
-    max: float | int | None = None
+    min: Whole | Finite | None = None
+    max: Whole | Finite | None = None
     log: bool = False
     mean: Finite | None = None
     sd: Positive | None = None
-    choices: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    choices: Annotated[tuple[Any, ...], Field(min_length=1, max_length=MOST_ENTRIES)] | None = None
     plus_minus: Positive | None = None
 
     @model_validator(mode="after")
@@ -246,23 +271,27 @@ class Scenario(Table):
     """A whole scenario file, resolved: every default is filled in."""
 
     name: Name
-    description: str = ""
+    description: Description = ""
     simulation: Simulation = Simulation()
     control: Control = Control()
     check: Check = Check()
     view: View = View()
     sabotage: Sabotage = Sabotage()
-    arm: Annotated[tuple[Arm, ...], Field(min_length=1)]
-    obstacle: tuple[Obstacle, ...] = ()
-    instrument: tuple[Instrument, ...] = ()
-    change: tuple[Change, ...] = ()
-    expect: dict[str, Annotated[Bound, BeforeValidator(_as_bound)]] = Field(default_factory=dict)
-    vary: dict[str, Variation] = Field(default_factory=dict)
+    arm: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=MOST_ARMS)]
+    obstacle: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_THINGS)] = ()
+    instrument: Annotated[tuple[Instrument, ...], Field(max_length=MOST_THINGS)] = ()
+    change: Annotated[tuple[Change, ...], Field(max_length=MOST_ENTRIES)] = ()
+    expect: dict[Label, Annotated[Bound, BeforeValidator(_as_bound)]] = Field(
+        default_factory=dict, max_length=MOST_ENTRIES
+    )
+    vary: dict[Label, Variation] = Field(default_factory=dict, max_length=MOST_ENTRIES)
     _file: Path | None = PrivateAttr(None)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scenario:
-        fits_together(self)
+        faults = fits_together(self)
+        if faults:
+            raise ValueError("\n".join(faults))
         return self
 
     @property
