@@ -26,7 +26,7 @@ from workcell import scenario
 from workcell.live.camera import best_view
 from workcell.live.devices import KEY_SPEED_M_S
 from workcell.live.drawing import GIZMO_M
-from workcell.live.teleop import _home, tool_pose
+from workcell.live.sitting import home, tool_pose
 from workcell.trace.table import load
 
 pytestmark = needs_browser
@@ -72,7 +72,7 @@ def handover(tmp_path_factory):
     options = ("arm.surgeon.operator.kind=live", "check.enabled=false", "simulation.period_s=0.02")
     loaded = scenario.load("handover", options)
     cell = runner.prepare(loaded, folder / "seen")
-    data = _home(cell)
+    data = home(cell)
     view = best_view(cell, data, loaded.view)
     surgeon = next(arm for arm in cell.arms if arm.name == "surgeon")
     here, _ = tool_pose(data, surgeon.tool_site)

@@ -9,14 +9,14 @@ from tests import cells
 from workcell import run as runner
 from workcell import scenario
 from workcell.live.camera import best_view, presets, tool_is_seen, view_from
-from workcell.live.teleop import _home
+from workcell.live.sitting import home
 from workcell.scenario import View
 
 
 @pytest.mark.parametrize("name", ["handover", "busy_human", "three_arms", "surgeon_sweeps"])
 def test_both_tools_are_seen_from_where_the_camera_starts(tmp_path, name):
     cell = runner.prepare(scenario.load(name), tmp_path)
-    data = _home(cell)
+    data = home(cell)
     eye = best_view(cell, data, View()).position_m
     assert all(tool_is_seen(cell, data, eye, arm.tool_site) for arm in cell.arms)
 
@@ -24,7 +24,7 @@ def test_both_tools_are_seen_from_where_the_camera_starts(tmp_path, name):
 def test_a_tool_behind_something_is_not_seen(tmp_path):
     content = cells.duet()
     cell = cells.build(tmp_path, content)
-    data = _home(cell)
+    data = home(cell)
     tool = data.site_xpos[cell.arms[0].tool_site]
     assert tool_is_seen(cell, data, tool + np.array([0.0, -2.0, 0.0]), cell.arms[0].tool_site)
     content["obstacle"] = [
@@ -36,7 +36,7 @@ def test_a_tool_behind_something_is_not_seen(tmp_path):
         }
     ]
     hidden = cells.build(tmp_path / "hidden", content)
-    data = _home(hidden)
+    data = home(hidden)
     assert not tool_is_seen(
         hidden, data, tool + np.array([0.0, -2.0, 0.0]), hidden.arms[0].tool_site
     )
@@ -46,7 +46,7 @@ def test_what_the_scenario_gives_is_kept(tmp_path):
     cell = cells.build(tmp_path, cells.duet())
     view = best_view(
         cell,
-        _home(cell),
+        home(cell),
         View(camera_azimuth_deg=90.0, camera_elevation_deg=30.0, camera_distance_m=3.0),
     )
     expected = view_from(view.look_at_m, 90.0, 30.0, 3.0)
@@ -57,7 +57,7 @@ def test_what_the_scenario_gives_is_kept(tmp_path):
 
 def test_presets_look_at_the_same_point_from_the_same_distance(tmp_path):
     cell = cells.build(tmp_path, cells.duet())
-    views = presets(best_view(cell, _home(cell), View()))
+    views = presets(best_view(cell, home(cell), View()))
     away = [np.linalg.norm(v.position_m - v.look_at_m) for v in views.values()]
     assert away == pytest.approx([away[0]] * len(away))
     assert next(iter(views)) == "best"

@@ -15,11 +15,12 @@ from websockets.sync.client import connect
 from tests import cells
 from workcell.live import page as module
 from workcell.live.camera import best_view, presets
+from workcell.live.controls import ACTIONS
 from workcell.live.desk import COUNTING, PAUSED, READY, RUNNING, Picture, Tool
-from workcell.live.devices import KEY_SPEED_M_S
-from workcell.live.page import ACTIONS, Page
+from workcell.live.devices import KEY_SPEED_M_S, DeviceInput
+from workcell.live.page import Page
 from workcell.live.server import HOST, PANEL
-from workcell.live.teleop import _home, tool_pose
+from workcell.live.sitting import home, tool_pose
 from workcell.scenario import View
 
 
@@ -71,7 +72,7 @@ def cell(tmp_path_factory):
 @pytest.fixture
 def page(cell):
     built, scene_xml = cell
-    data = _home(built)
+    data = home(built)
     pose = tool_pose(data, built.arms[0].tool_site)
     views = presets(best_view(built, data, View()))
     said: list[str] = []
@@ -188,7 +189,7 @@ def test_every_action_is_on_the_page_with_its_key_and_does_something(page):
         if name in ("start", "follow"):
             continue
         panel.say("act", action=name)
-        empty = module.DeviceInput()
+        empty = DeviceInput()
         asked = []
 
         def came(asked=asked, empty=empty):

@@ -20,10 +20,10 @@ from tests.live.browser import pixel
 from workcell import run as runner
 from workcell import scenario
 from workcell.errors import InputError, TraceError
-from workcell.live import window as module
+from workcell.live import display as module
 from workcell.live.camera import best_view
 from workcell.live.devices import KEY_SPEED_M_S
-from workcell.live.teleop import _home
+from workcell.live.sitting import home
 from workcell.trace.table import Trace, load
 
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
@@ -110,7 +110,7 @@ def marker_pixel(width: int, height: int) -> tuple[int, int]:
     """Where the surgeon's marker is in a window of this size, with the camera as it starts."""
     with tempfile.TemporaryDirectory() as folder:
         cell = runner.prepare(scenario.load("handover", SETTINGS), Path(folder))
-    data = _home(cell)
+    data = home(cell)
     view = best_view(cell, data, cell.scenario.view)
     surgeon = next(arm for arm in cell.arms if arm.name == "surgeon")
     fov = np.radians(cell.model.vis.global_.fovy)

@@ -12,7 +12,7 @@ import math
 import threading
 import time
 from collections import deque
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,9 @@ import numpy as np
 import viser
 
 from workcell.live.camera import FIELD_OF_VIEW_RAD, CameraView
+from workcell.live.controls import ON_THE_PAGE, Held, ask, held_in
 from workcell.live.desk import COUNTING, PAUSED, READY, RUNNING, Picture, Say, Tool
-from workcell.live.devices import (
-    KEY_SPEED_M_S,
-    KEY_TURN_RAD_S,
-    PAGE_MOVES,
-    PAGE_TURNS,
-    SLOW_SHARE,
-    DeviceInput,
-    key_motion,
-    stick_motion,
-)
+from workcell.live.devices import PAGE_MOVES, PAGE_TURNS, DeviceInput, key_motion, stick_motion
 from workcell.live.drawing import Drawing
 from workcell.live.latency import LatencyMeter
 from workcell.live.marker import Marker, Pose
@@ -50,52 +42,6 @@ GONE_S = 10.0
 """Without any browser for so long, the session ends; chosen longer than it takes to reload a page."""
 CURVE_S = 20.0
 _CURVE_EVERY_S = 0.1
-
-ACTIONS: dict[str, tuple[str, str, str, str]] = {
-    "start": ("Start / pause", "Space", "Space", "start after a count of three; pause and go on"),
-    "reset": (
-        "Reset",
-        "Backspace",
-        "Backspace",
-        "end this run and begin it anew, in a folder of its own",
-    ),
-    "quit": ("End", "9", "Digit9", "end the session and show how it went"),
-    "criterion": ("Criterion", "8", "Digit8", "next criterion"),
-    "t_min_down": ("t_min –", "6", "Digit6", "t_min down by 0.1 s"),
-    "t_min_up": ("t_min +", "7", "Digit7", "t_min up by 0.1 s"),
-    "left": ("From left", "1", "Digit1", "have things presented from the left"),
-    "above": ("From above", "2", "Digit2", "have things presented from above"),
-    "right": ("From right", "3", "Digit3", "have things presented from the right"),
-    "record": ("Take", "R", "KeyR", "begin or end a take, kept as a recording of its own"),
-    "release": ("Go on", "0", "Digit0", "let arms go on that the final check has stopped"),
-    "follow": ("Follow tool", "F", "KeyF", "the camera goes with the tool"),
-}
-"""Action -> label, key as written, its code in a browser, what it does."""
-_MORE_KEYS = (
-    ("arrows", f"move right, left, away, near at {KEY_SPEED_M_S:g} m/s, as the picture shows it"),
-    ("PgUp PgDn", "move up, down"),
-    ("I K, U O, J L", f"turn about right, away, up at {KEY_TURN_RAD_S:g} rad/s"),
-    ("Shift", f"{SLOW_SHARE:g} of these speeds"),
-    ("C", "hold the clutch open"),
-    ("M", "sound"),
-)
-JOGS = (
-    ("PageUp", "up"), ("ArrowUp", "away"), ("PageDown", "down"),
-    ("ArrowLeft", "left"), ("ArrowDown", "near"), ("ArrowRight", "right"),
-    ("KeyI", "tip away"), ("KeyU", "roll left"), ("KeyJ", "turn left"),
-    ("KeyK", "tip near"), ("KeyO", "roll right"), ("KeyL", "turn right"),
-)  # fmt: skip
-"""Code -> label of the buttons that move as long as they are held."""
-
-
-@dataclass
-class _Held:
-    """What the driver holds, as last told."""
-
-    codes: frozenset[str] = frozenset()
-    slow: bool = False
-    axes: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    told_s: float = -math.inf
 
 
 class Page:
@@ -133,7 +79,7 @@ class Page:
         self._clients: dict[int, tuple[viser.ClientHandle, str]] = {}
         self._driver: str | None = None
         self._alone_since_s: float | None = None
-        self._held = _Held()
+        self._held = Held()
         self._asked = DeviceInput()
         self._hands_s: float | None = None
         self._phase, self._count_ends_s = READY, 0.0
@@ -299,18 +245,7 @@ class Page:
                     "taken": driver is not None,
                     "arms": list(self._markers),
                     "cameras": list(self._cameras),
-                    "jogs": JOGS,
-                    "held": [*PAGE_MOVES, *PAGE_TURNS],
-                    "presses": {code: name for name, (_, _, code, _) in ACTIONS.items()}
-                    | {"KeyM": "sound"},
-                    "keys": [
-                        *_MORE_KEYS,
-                        *((key, words) for _, key, _, words in ACTIONS.values()),
-                    ],
-                    "actions": [
-                        {"action": name, "label": label, "key": key, "words": words}
-                        for name, (label, key, _, words) in ACTIONS.items()
-                    ],
+                    **ON_THE_PAGE,
                 },
                 browser=browser,
             )
@@ -318,7 +253,7 @@ class Page:
 
     def _drive(self, browser: str | None) -> None:
         """Give the drive to a browser, or to none."""
-        self._driver, self._held = browser, _Held()
+        self._driver, self._held = browser, Held()
         for marker in self._markers.values():
             marker.held = False
             marker.clutch(False)
@@ -353,40 +288,19 @@ class Page:
         self.latency.begin()
 
     def _hold(self, message: dict[str, Any]) -> None:
-        codes, axes = message.get("held"), message.get("axes")
-        before = self._held
-        known = (c for c in codes if isinstance(c, str)) if isinstance(codes, list) else ()
-        held = _Held(
-            codes=frozenset(known) & (PAGE_MOVES.keys() | PAGE_TURNS.keys()),
-            slow=bool(message.get("slow")),
-            axes=_axes(axes),
-            told_s=time.monotonic(),
-        )
+        before, held = self._held, held_in(message)
         self._held = held
         self._markers[self._selected].clutch(bool(message.get("clutch")))
         if (held.codes and not before.codes) or (held.axes.any() and not before.axes.any()):
             self.latency.begin()
 
     def _act(self, browser: str, action: Any) -> None:
-        asked = self._asked
         if action == "start":
             self._start_or_pause()
-        elif action == "reset":
-            asked.reset = True
-        elif action == "quit":
-            asked.quit = True
-        elif action == "criterion":
-            asked.criterion_steps += 1
-        elif action in ("t_min_down", "t_min_up"):
-            asked.t_min_steps += 1 if action == "t_min_up" else -1
-        elif action in ("left", "right", "above"):
-            asked.entry = action
-        elif action == "record":
-            asked.record_steps += 1
-        elif action == "release":
-            asked.release = True
         elif action == "follow":
             self._follow(browser)
+        elif isinstance(action, str):
+            ask(self._asked, action)
 
     def _start_or_pause(self) -> None:
         phase = self.phase
@@ -497,12 +411,3 @@ class Page:
                 curve.append((time_s, ttc_s, artc_per_s))
             while curve[0][0] < time_s - CURVE_S:
                 curve.popleft()
-
-
-def _axes(told: Any) -> np.ndarray:
-    """Six axes in [-1, 1]; zeros where what was told is nothing of the kind."""
-    if not isinstance(told, list) or len(told) != 6:
-        return np.zeros(6)
-    if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in told):
-        return np.zeros(6)
-    return np.clip(np.array(told, dtype=float), -1.0, 1.0)

@@ -8,17 +8,11 @@ arm, on data of its own, so that nothing done in the window can push the simulat
 
 from __future__ import annotations
 
-import ctypes
-import os
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-import glfw
 import mujoco
 import mujoco.viewer
 import numpy as np
@@ -27,7 +21,8 @@ from numpy.typing import NDArray
 from workcell.errors import InputError
 from workcell.live.camera import CameraView
 from workcell.live.desk import RUNNING, Picture, Tool
-from workcell.live.devices import DeviceInput, WindowKeys, is_ours
+from workcell.live.devices import DeviceInput, WindowKeys
+from workcell.live.keyboard import Keyboard
 from workcell.live.latency import LatencyMeter
 from workcell.live.marker import Marker, Pose
 from workcell.live.status import AMBER, GREEN, RED, ttc_words
@@ -40,8 +35,6 @@ TEXT_S = 0.2
 """Time between two texts; chosen as fast as digits can be read."""
 CLOSING_S = 5.0
 """Longest wait for the viewer to end, so that a stuck driver does not hold the run's results back."""
-PROBE_S = 20.0
-"""Longest wait for a display to answer."""
 MARKER_RADIUS_M = 0.05
 """Half extent of the marker; chosen so that a double click hits it from where the camera stands."""
 _RGBA = {
@@ -55,40 +48,6 @@ _AHEAD_WIDTH = 2.0
 _AHEAD_RGBA = np.array([0.55, 0.62, 0.72, 0.6], dtype=np.float32)
 _COSTLY_EFFECTS = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 """Effects that cost more than they show where a processor has to draw."""
-
-
-def require_display() -> None:
-    """Refuse where no window can be opened; without this MuJoCo ends the process.
-
-    Raises:
-        InputError: there is no display, or on macOS the program was not started by `mjpython`.
-    """
-    page = "or leave --window away: the page in a browser needs no display"
-    if sys.platform == "darwin" and not hasattr(mujoco.viewer, "_MJPYTHON"):
-        raise InputError("--window: cannot be probed with this version of MuJoCo; " + page)
-    if sys.platform == "darwin" and mujoco.viewer._MJPYTHON is None:
-        raise InputError(
-            f"--window: on macOS the window needs mjpython: mjpython -m workcell teleop ... --window; {page}"
-        )
-    # In a process of its own: a display that does not answer, or a driver that crashes, ends only that.
-    probe = (
-        "import glfw, sys; ok = glfw.init(); glfw.window_hint(glfw.VISIBLE, 0); "
-        "w = glfw.create_window(64, 64, 'probe', None, None) if ok else None; "
-        "sys.exit(0 if w else 3)"
-    )
-    try:
-        done = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", probe], capture_output=True, timeout=PROBE_S
-        )
-        found = done.returncode == 0
-    except subprocess.TimeoutExpired:
-        found = False
-    if not found:
-        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        named = f"the display '{display}' cannot be used" if display else "there is no display"
-        raise InputError(
-            f"--window: {named} (DISPLAY, WAYLAND_DISPLAY); on macOS start with mjpython; {page}"
-        )
 
 
 class Window:
@@ -120,7 +79,7 @@ class Window:
         self._bodies = {arm: self._model.body(marker_name(arm)).id for arm in markers}
         self._mocap = {a: int(self._model.body_mocapid[body]) for a, body in self._bodies.items()}
         self._markers = {arm: Marker(*pose) for arm, pose in markers.items()}
-        self._keyboard = _Keyboard()
+        self._keyboard = Keyboard()
         self._keys = WindowKeys(self._keyboard.held, gamepad=gamepad)
         self._keyed = next(iter(self._markers))
         """The marker that keys and gamepad move: the first."""
@@ -302,58 +261,6 @@ class Window:
         for points in picture.ahead_m.values():
             for ends in zip(points[:-1:2], points[1::2], strict=False):
                 _line(scene, ends, _AHEAD_WIDTH, _AHEAD_RGBA)
-
-
-_KEY_EVENT = ctypes.CFUNCTYPE(
-    None, ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_int
-)
-
-
-class _Keyboard:
-    """The keys of the viewer's window, held ones included.
-
-    MuJoCo's callback tells presses only, and MuJoCo acts on many of the keys itself. In the callback its
-    window is the current one: from there on the window's own key events come here first, and those
-    that drive the markers go no further.
-    """
-
-    def __init__(self) -> None:
-        self._window: Any = None
-        self._kept: Any = None
-        """The callback, which must live as long as the window."""
-
-    def attach(self, press: Callable[[int], None]) -> bool:
-        """Take the keyboard of the current window, once; True if this call did it."""
-        if self._window is not None:
-            return False
-        window = glfw.get_current_context()
-        if not window:
-            return False
-        self._window = window
-        before = None
-
-        @_KEY_EVENT
-        def event(window: Any, key: int, code: int, action: int, modifiers: int) -> None:
-            if not is_ours(key):
-                if before:
-                    before(window, key, code, action, modifiers)
-            elif action == glfw.PRESS:
-                press(key)
-
-        # Not by way of the package's own function, which forgets a callback that came from C.
-        exchange = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, _KEY_EVENT)(
-            ("glfwSetKeyCallback", glfw.library.glfw)
-        )
-        address = exchange(ctypes.cast(window, ctypes.c_void_p), event)
-        before = _KEY_EVENT(address) if address else None
-        self._kept = event
-        return True
-
-    def held(self, keys: Collection[int]) -> set[int]:
-        """Which of some keys are down now."""
-        if self._window is None:
-            return set()
-        return {key for key in keys if glfw.get_key(self._window, key) == glfw.PRESS}
 
 
 KEYS = (
