@@ -17,7 +17,7 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 OPERATORS = (
     scenario.Hold, scenario.Waypoints, scenario.Recording, scenario.Human, scenario.Live,
-    scenario.Joints,
+    scenario.Joints, scenario.Plugin,
 )  # fmt: skip
 JOBS = (
     scenario.Move, scenario.Meet, scenario.Fetch, scenario.Present, scenario.Exchange,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from workcell import plugins
+from workcell.errors import InputError
 from workcell.scenario.values import (
     MOST_JOBS,
     MOST_WAYPOINTS,
@@ -151,6 +153,22 @@ class Joints(Table):
     arm: Name | None = None
 
 
+class Plugin(Table):
+    """An operator that a plug-in brings, with the options that it takes."""
+
+    kind: Literal["plugin"]
+    name: Name
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _is_there(self) -> Plugin:
+        try:
+            plugins.options("operators", self.name, self.options)
+        except InputError as error:
+            raise ValueError("; ".join(error.faults)) from error
+        return self
+
+
 Operator = Annotated[
-    Hold | Waypoints | Recording | Human | Live | Joints, Field(discriminator="kind")
+    Hold | Waypoints | Recording | Human | Live | Joints | Plugin, Field(discriminator="kind")
 ]

@@ -17,13 +17,15 @@ from workcell.motion.operators.human import HumanOperator
 from workcell.motion.operators.joints import JointsOperator
 from workcell.motion.operators.joints import faults as joints_faults
 from workcell.motion.operators.live import LiveOperator
+from workcell.motion.operators.plugged import OperatorSetup, PluggedOperator
+from workcell.motion.operators.plugged import faults as plugged_faults
 from workcell.motion.operators.recording import RecordingOperator
 from workcell.motion.operators.recording import faults as recording_faults
 from workcell.motion.operators.scripted import HoldOperator, WaypointsOperator
 from workcell.motion.operators.streamed import StreamedHumanOperator
 from workcell.motion.setpoint import Operator
 
-__all__ = ["Operator", "faults", "make_operator"]
+__all__ = ["Operator", "OperatorSetup", "faults", "make_operator"]
 
 _OF_THE_STREAM = 1
 """Keeps the faults of a stream apart from the motion of the person behind it."""
@@ -68,6 +70,11 @@ def make_operator(
                 period_s=period_s,
                 random=np.random.default_rng([seed, zlib.crc32(name.encode()), _OF_THE_STREAM]),
             )
+        case scenario.Plugin():
+            random = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            return PluggedOperator(
+                settings, position_m, wxyz, arm=name, period_s=period_s, random=random
+            )
         case scenario.Joints():
             return JointsOperator(settings, arm=name, period_s=period_s)
         case scenario.Live():
@@ -104,6 +111,8 @@ def faults(
         return recording_faults(
             settings, position_m, wxyz, duration_s=duration_s, period_s=period_s
         )
+    if isinstance(settings, scenario.Plugin):
+        return plugged_faults(settings, position_m, wxyz, arm=name, period_s=period_s)
     if isinstance(settings, scenario.Joints):
         return joints_faults(settings, name, home_rad, joints)
     return []
