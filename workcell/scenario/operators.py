@@ -83,9 +83,23 @@ class Streamed(Followed):
 
 
 class Live(Streamed):
-    """A person, through `workcell teleop`."""
+    """A person, through `workcell teleop`; with `device` through one that a plug-in brings."""
 
     kind: Literal["live"]
+    device: Name | None = None
+    device_options: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _device_is_there(self) -> Live:
+        if self.device is None:
+            if self.device_options:
+                raise ValueError("device_options needs a device")
+            return self
+        try:
+            plugins.options("devices", self.device, self.device_options)
+        except InputError as error:
+            raise ValueError("; ".join(error.faults)) from error
+        return self
 
 
 class Stream(Streamed):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
+from workcell.motion.operators.device import DeviceOperator
 from workcell.motion.operators.human import HumanOperator
 from workcell.motion.operators.joints import JointsOperator
 from workcell.motion.operators.joints import faults as joints_faults
@@ -77,6 +78,8 @@ def make_operator(
             )
         case scenario.Joints():
             return JointsOperator(settings, arm=name, period_s=period_s)
+        case scenario.Live() if settings.device is not None:
+            return DeviceOperator(settings, position_m, wxyz, arm=name, period_s=period_s)
         case scenario.Live():
             return LiveOperator(settings, position_m, wxyz, period_s=period_s)
     return HoldOperator(position_m, wxyz)
