@@ -13,11 +13,12 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
-from workcell.cli import install, live, regression, run, scenarios, show, studies
+from workcell.cli import arms, install, live, regression, run, scenarios, show, studies
 from workcell.cli.boundary import guarded
 
 COMMANDS: dict[str, Callable[..., int]] = {
     "list": scenarios.list_,
+    "import": arms.import_,
     "check": scenarios.check,
     "run": run.run,
     "teleop": live.teleop,

@@ -341,6 +341,16 @@ class _Writer:
     def ties(self) -> Iterator[str]:
         """What ties driven joints to one another, or to what stands: a cell moves each for itself."""
         model = self.model
+        for body in range(1, model.nbody):
+            start, count = model.body_jntadr[body], model.body_jntnum[body]
+            held = [j for j in range(start, start + count) if j not in self.driven]
+            if len(held) < count and any(
+                self._home[model.jnt_qposadr[j]] != model.qpos0[model.jnt_qposadr[j]] for j in held
+            ):
+                yield (
+                    f"body {self.file.bodies[body]!r} has driven joints and held ones ({', '.join(self.file.joints[j] for j in held)}); "
+                    "the held ones must stay at their zero"
+                )
         for k in range(model.neq):
             if not self._is_within_one_link(self._ends_of_equality(k)):
                 name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, k) or f"number {k}"

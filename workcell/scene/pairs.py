@@ -5,6 +5,7 @@ and an arm against itself. A pair is left out only for a written reason:
 
 * `static`: no joint lies between the two geoms, or none changes their distance;
 * `neighbours`: within one arm, at most `NEIGHBOUR_JOINTS` joints apart, where housings interlock by design;
+* `excluded`: within one arm, whose file excludes the two bodies by name (contact/exclude);
 * `rests`: an instrument and the obstacle it lies on;
 * `apart`: within one arm, never nearer than `APART_M` in the sampled poses.
 """
@@ -85,8 +86,11 @@ def watched_pairs(
     loose, rests = _instrument_pairs(model, arms, instruments, surroundings)
     kept: list[tuple[int, int]] = []
     omitted: list[tuple[str, str, str]] = []
+    excluded = {int(signature) for signature in model.exclude_signature}
     for candidate in _sampled(model, arms, candidates, arms_digest):
         reason = candidate.why_not()
+        if reason is None and candidate.within and _signature(model, candidate.geoms) in excluded:
+            reason = "excluded: the arm file excludes the two bodies by name (contact/exclude)"
         if reason is None:
             kept.append(candidate.geoms)
         else:
@@ -161,6 +165,12 @@ class _Candidate:
             if self.nearest_m > APART_M:
                 return f"apart: never nearer than {self.nearest_m:.3f} m in {SAMPLES} sampled poses"
         return None
+
+
+def _signature(model: mujoco.MjModel, geoms: tuple[int, int]) -> int:
+    """MuJoCo's number of a pair of bodies: the smaller id high."""
+    low, high = sorted(int(model.geom_bodyid[g]) for g in geoms)
+    return (low << 16) + high
 
 
 def _joints_above(model: mujoco.MjModel, geom: int) -> set[int]:

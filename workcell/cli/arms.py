@@ -1,0 +1,112 @@
+"""The command that adapts an arm file: import."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from workcell import scenario as scenario_file
+from workcell.cli.terminal import OK, stdout
+from workcell.errors import InputError
+
+
+def import_(
+    arm_file: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(metavar="ARM_FILE", help="an MJCF or URDF file")
+    ],
+    /,
+    name: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help="of the adapted arm; default the file's")
+    ] = None,
+    tool: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="SITE_OR_BODY", help="where the tool is; guessed if not given"),
+    ] = None,
+    tool_offset: Annotated[
+        tuple[float, float, float],
+        tyro.conf.arg(metavar="X Y Z", help="from there to the tool point, m, in its frame"),
+    ] = (0.0, 0.0, 0.0),
+    root: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="BODY", help="where the arm begins; default the file's base"),
+    ] = None,
+    lock: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="JOINT=VALUE", help="hold a joint there; may be given several times"),
+    ] = (),
+    out: Annotated[
+        Path, tyro.conf.arg(metavar="DIR", help="the arm's folder is made in it")
+    ] = Path("arms"),
+) -> int:
+    """Adapt an arm file: capsules, housing, servos, limits, home, a picture and a first scenario; the original is not touched."""
+    from workcell.scene.adapt import Wishes, adapt
+    from workcell.view import arm_sides
+
+    if not arm_file.is_file():
+        raise InputError(
+            f"no such arm file: {str(arm_file)!r}; allowed: a path to an MJCF or URDF file"
+        )
+    wishes = Wishes(name, tool, tool_offset, root, _locks(lock))
+    adapted = adapt(arm_file, wishes)
+    folder = out / adapted.name
+    target = folder / f"{adapted.name}.xml"
+    if target.resolve() == arm_file.resolve():
+        raise InputError(
+            f"--out {out}: would replace the original {arm_file}; choose another folder or --name"
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        target.write_text(adapted.xml, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
+    arm_sides.draw(adapted.xml, adapted.home_rad, folder / f"{adapted.name}.png")
+    said = _starter(adapted, folder / f"{adapted.name}_pair.toml")
+    for title, lines in (
+        ("done", adapted.did),
+        ("guessed", adapted.guessed),
+        ("not known", adapted.unknown),
+    ):
+        for line in lines:
+            stdout.print(f"{title}: {line}", markup=False)
+    stdout.print(f"home_rad = [{', '.join(f'{q:g}' for q in adapted.home_rad)}]", markup=False)
+    for kind in (".xml", ".png", "_pair.toml"):
+        stdout.print(str(folder / f"{adapted.name}{kind}"), markup=False)
+    stdout.print(said, markup=False)
+    return OK
+
+
+def _starter(adapted, path: Path) -> str:
+    """Write the first scenario that can be run, and say which it is."""
+    from workcell import run
+    from workcell.scene.adapt.starter import STEPS_M, scenario_text
+
+    refused = None
+    for step_m in STEPS_M:
+        path.write_text(scenario_text(adapted, step_m), encoding="utf-8")
+        try:
+            with tempfile.TemporaryDirectory() as scene:
+                run.prepare(scenario_file.load(path), Path(scene))
+        except InputError as error:
+            refused = refused or error
+            continue
+        return f"first scenario: workcell run {path}"
+    return f"first scenario is not ready to run: {refused}"
+
+
+def _locks(texts: tuple[str, ...]) -> dict[str, float]:
+    """JOINT=VALUE of the command line."""
+    found = {}
+    for text in texts:
+        joint, _, value = text.rpartition("=")
+        try:
+            found[joint] = float(value)
+        except ValueError as error:
+            raise InputError(
+                f"--lock {text}: allowed is JOINT=VALUE, a number in rad or m"
+            ) from error
+        if not joint:
+            raise InputError(f"--lock {text}: allowed is JOINT=VALUE, a number in rad or m")
+    return found

@@ -1,0 +1,184 @@
+"""Where an adapted arm starts, and which of its parts touch by construction.
+
+Both are found by looking at seeded random poses within the joint ranges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from workcell.scene.pairs import NEIGHBOUR_JOINTS
+
+SAMPLES = 200
+NEAR_M = 0.012
+"""Capsules this near count as touching: a little more than the default d_min, at which a start is refused."""
+BY_CONSTRUCTION = 0.5
+"""Share of poses in which two links touch from which on their touching is how the arm is built, not an accident."""
+CLEAR_M = 0.03
+"""Room that a home leaves between parts of the arm, and above the floor."""
+OUTWARD = 0.3
+"""Weight of a tool that points away from the base, beside a dexterity of about 0.2; chosen so that two arms can face one another."""
+CANDIDATES = 800
+TOOL = "tool"
+
+Pairs = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Touching:
+    """Links that are not held apart."""
+
+    pairs: Pairs
+    """Names of bodies."""
+    said: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Home:
+    """A start."""
+
+    q: NDArray[np.float64]
+    guessed: tuple[str, ...]
+    reach_m: float
+
+
+def poses(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """(SAMPLES, nq) within the joint ranges, to half a turn where a joint has none."""
+    limited = model.jnt_limited.astype(bool)
+    lower = np.where(limited, model.jnt_range[:, 0], -np.pi)
+    upper = np.where(limited, model.jnt_range[:, 1], np.pi)
+    return np.random.default_rng(0).uniform(lower, upper, (SAMPLES, model.nq))
+
+
+def _far_pairs(model: mujoco.MjModel) -> dict[tuple[int, int], list[tuple[int, int]]]:
+    """Capsule pairs of bodies that are more than NEIGHBOUR_JOINTS joints apart, by body pair."""
+    above: dict[int, frozenset[int]] = {0: frozenset()}
+    for body in range(1, model.nbody):
+        start, count = model.body_jntadr[body], model.body_jntnum[body]
+        above[body] = above[int(model.body_parentid[body])] | set(range(start, start + count))
+    found: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    capsules = np.flatnonzero(model.geom_group == 4)
+    for g, h in combinations(capsules.tolist(), 2):
+        pair = int(model.geom_bodyid[g]), int(model.geom_bodyid[h])
+        if len(above[pair[0]] ^ above[pair[1]]) > NEIGHBOUR_JOINTS:
+            found.setdefault(pair, []).append((g, h))
+    return found
+
+
+def touching_by_construction(model: mujoco.MjModel) -> Touching:
+    """Links more than two joints apart whose capsules touch in most poses."""
+    far, data = _far_pairs(model), mujoco.MjData(model)
+    counts = dict.fromkeys(far, 0)
+    for pose in poses(model):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        for pair, capsules in far.items():
+            counts[pair] += any(
+                mujoco.mj_geomDistance(model, data, g, h, 1.0, None) < NEAR_M for g, h in capsules
+            )
+    pairs, said = [], []
+    for (i, j), count in counts.items():
+        share = count / SAMPLES
+        if share >= BY_CONSTRUCTION:
+            names = model.body(i).name, model.body(j).name
+            pairs.append(names)
+            said.append(
+                f"{names[0]} and {names[1]} touch in {100 * share:.0f} % of {SAMPLES} poses, thus by construction: not held apart (contact/exclude)"
+            )
+    return Touching(tuple(pairs), tuple(said))
+
+
+def choose(
+    model: mujoco.MjModel,
+    excluded: Pairs,
+    keyframe: tuple[str, NDArray[np.float64]] | None,
+) -> Home:
+    """The file's keyframe if the arm is clear of itself in it, else the sampled pose with most room to move."""
+    data = mujoco.MjData(model)
+    site = model.site(TOOL).id
+    sampled = poses(model)
+    reach = 0.0
+    for pose in sampled:
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        reach = max(reach, float(np.linalg.norm(data.site_xpos[site])))
+    skipped = {frozenset(pair) for pair in excluded}
+    far = [
+        capsules
+        for (i, j), capsules in _far_pairs(model).items()
+        if frozenset((model.body(i).name, model.body(j).name)) not in skipped
+    ]
+    said = []
+    if keyframe is not None:
+        name, q = keyframe
+        if (
+            _clearance(model, data, far, q) > CLEAR_M
+            and _dexterity(model, data, site, reach) > 0.02
+        ):
+            return Home(q, (f"home: keyframe {name}",), reach)
+        said.append(
+            f"keyframe {name} is no home: the arm is too near itself in it, or cannot move its tool every way"
+        )
+    # The middle of each range draws the arm together; half of it is room enough to find a pose.
+    middle = model.jnt_range.mean(axis=1) * model.jnt_limited
+    half = np.where(
+        model.jnt_limited, np.minimum(np.ptp(model.jnt_range, axis=1) / 2, np.pi), np.pi
+    )
+    drawn = np.random.default_rng(1).uniform(-0.7, 0.7, (CANDIDATES, model.nq))
+    best, best_score = middle, -np.inf
+    for pose in (middle, *(middle + half * drawn)):
+        clearance = _clearance(model, data, far, pose)
+        tool = data.site_xpos[site].copy()
+        out = float(np.hypot(*tool[:2])) / max(reach, 1e-9)
+        score = _dexterity(model, data, site, reach)
+        score -= (
+            max(0.0, 0.4 - out) + max(0.0, out - 0.75) + max(0.0, 0.1 - tool[2] / max(reach, 1e-9))
+        )
+        score -= 20 * max(0.0, CLEAR_M - clearance)
+        if score > best_score:
+            best, best_score = pose, score
+    said.append(
+        f"home: of {CANDIDATES} poses the one in which the tool can move best, points outwards and the arm is clear of itself"
+    )
+    return Home(best, tuple(said), reach)
+
+
+def _clearance(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    far: list[list[tuple[int, int]]],
+    q: NDArray[np.float64],
+) -> float:
+    """Least distance of capsules that must stay apart, and of moving ones above the floor."""
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    least = min(
+        (
+            mujoco.mj_geomDistance(model, data, g, h, 0.2, None)
+            for capsules in far
+            for g, h in capsules
+        ),
+        default=0.2,
+    )
+    for g in np.flatnonzero(model.geom_group == 4):
+        if model.body_weldid[model.geom_bodyid[g]]:
+            half = abs(data.geom_xmat[g].reshape(3, 3)[2, 2]) * model.geom_size[g, 1]
+            least = min(least, data.geom_xpos[g, 2] - half - model.geom_size[g, 0])
+    return float(least)
+
+
+def _dexterity(model: mujoco.MjModel, data: mujoco.MjData, site: int, reach: float) -> float:
+    """Smallest singular value of the tool's Jacobian, lengths in units of the reach."""
+    position, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, position, rotation, site)
+    return float(
+        np.linalg.svd(np.concatenate([position / max(reach, 1e-9), rotation]), compute_uv=False)[
+            min(6, model.nv) - 1
+        ]
+    )
