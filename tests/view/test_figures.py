@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from workcell.errors import TraceError
+from workcell.errors import InputError, TraceError
 from workcell.view import stills
-from workcell.view.figures import paper_figures, time_stamps
+from workcell.view.figures import paper_figures
+from workcell.view.instants import time_stamps
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,34 @@ def test_a_repeat_gives_the_same_bytes_and_without_opengl_no_cell(
     assert [path.name for path in written] == ["figure3.png", "figure4.png", "overview.png"]
     before = {path.name: path.read_bytes() for path in drawn}
     assert all(path.read_bytes() == before[path.name] for path in written)
-    assert "figure5.png is left out: MuJoCo cannot draw here (disable:" in caplog.text
+    assert "figure5 is left out: MuJoCo cannot draw here (disable:" in caplog.text
+
+
+def test_figures_for_print_are_vectors_and_the_same_again(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    written = paper_figures(run.trace, run.scene, tmp_path / "a", formats=["pdf", "svg"])
+    again = paper_figures(run.trace, run.scene, tmp_path / "b", formats=["pdf", "svg"])
+    assert len(written) == 6
+    for one, two in zip(written, again, strict=True):
+        assert one.read_bytes() == two.read_bytes()
+        assert one.read_bytes().startswith(b"%PDF" if one.suffix == ".pdf" else b"<?xml")
+    with pytest.raises(InputError, match="format eps: allowed is png, pdf, svg"):
+        paper_figures(run.trace, run.scene, tmp_path, formats=["eps"])
+
+
+def test_arms_are_told_apart_by_their_colour(run):
+    qpos = run.trace["qpos"][[0]]
+    try:
+        (plain,) = stills.render(run.scene, qpos, width=200, height=150)
+        (tinted,) = stills.render(run.scene, qpos, width=200, height=150, arms=["surgeon", "nurse"])
+    except stills.NoPictures as error:
+        pytest.skip(str(error))
+    changed = (plain != tinted).any(axis=2)
+    assert 0.005 < changed.mean() < 0.5
+    hue = tinted[changed].astype(int)
+    blue, orange = hue[:, 2] > hue[:, 0] + 20, hue[:, 0] > hue[:, 2] + 20
+    assert blue.mean() > 0.2
+    assert orange.mean() > 0.2
 
 
 def test_stamps_tell_the_two_encounters(run):

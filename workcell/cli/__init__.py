@@ -13,7 +13,18 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
-from workcell.cli import arms, install, live, regression, run, scenarios, show, studies
+from workcell.cli import (
+    arms,
+    films,
+    install,
+    live,
+    regression,
+    reports,
+    run,
+    scenarios,
+    show,
+    studies,
+)
 from workcell.cli.boundary import guarded
 
 COMMANDS: dict[str, Callable[..., int]] = {
@@ -25,6 +36,8 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "record-operator": live.record_operator,
     "replay": show.replay,
     "plot": show.plot,
+    "report": reports.report,
+    "film": films.film,
     "sweep": studies.sweep,
     "falsify": studies.falsify,
     "compare": regression.compare,

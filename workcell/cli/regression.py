@@ -14,6 +14,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from workcell.cli.extras import needs
 from workcell.cli.terminal import narrow, stderr, stdout
 from workcell.errors import InputError
 
@@ -280,6 +281,7 @@ def _show(
 ) -> None:
     """Draw both, on paper or in the viewer."""
     if plot:
+        needs("matplotlib", "figures")
         from workcell.regression import overlay
 
         stdout.print(str(overlay.draw(run, reference, result, folder / f"{REPORT}.png")))

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from workcell.cli.extras import needs
 from workcell.cli.options import RunFolder
 from workcell.cli.terminal import FAILED, OK, stdout
 
@@ -46,12 +47,23 @@ def describe(run: Path) -> str:
     return f"{run}: {name}, {trace['time_s'][-1]:.1f} s, {verdict}"
 
 
-def plot(run: RunFolder, /) -> int:
+def plot(
+    run: RunFolder,
+    /,
+    format: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="KIND", help="png, pdf or svg; may be given several times"),
+    ] = (),
+) -> int:
     """Draw the paper's figures 3, 4 and 5 from a run into its folder `figures`."""
-    from workcell.run import SCENE_FOLDER
+    needs("matplotlib", "figures")
+    from workcell.run import FIGURES_FOLDER, SCENE_FOLDER
     from workcell.trace.table import load
     from workcell.view import figures
 
-    for path in figures.paper_figures(load(run), run / SCENE_FOLDER / "scene.xml", run / "figures"):
+    scene_xml = run / SCENE_FOLDER / "scene.xml"
+    for path in figures.paper_figures(
+        load(run), scene_xml, run / FIGURES_FOLDER, formats=format or ("png",)
+    ):
         stdout.print(str(path))
     return OK

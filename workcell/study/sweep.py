@@ -329,12 +329,16 @@ def _kept(out: Path) -> list[Path]:
 
 
 def _keep(out: Path, report: Report) -> None:
-    row = report.outcome
-    label = "".join(c if c.isalnum() or c in "._-" else "_" for c in row.setting.replace("=", "-"))
-    folder = out / FAILURES_FOLDER / f"{row.run:05d}{'_' + label if label else ''}"
+    folder = out / FAILURES_FOLDER / folder_name(report.outcome.run, report.outcome.setting)
     for name, content in report.files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     command = f"workcell run {folder / 'scenario.toml'} --out {folder.name}_again"
     (folder / "reproduce.txt").write_text(command + "\n", encoding="utf-8")
+
+
+def folder_name(run: int, setting: str) -> str:
+    """Name of the folder of one run among those of a sweep."""
+    label = "".join(c if c.isalnum() or c in "._-" else "_" for c in setting.replace("=", "-"))
+    return f"{run:05d}{'_' + label if label else ''}"

@@ -2,7 +2,7 @@
 
 In come a trace and its scene; out come PNG files: `figure3.png` (time to collision over the speed
 of the support arm), `figure4.png` (ARTC of every arm), `figure5.png` (the cell at four instants)
-and `overview.png` (all of a run on one page). The same trace gives the same bytes. The only file
+and `overview.png` (all of a run on one page), each also as PDF and SVG. The same trace gives the same bytes. The only file
 that knows matplotlib.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from workcell.errors import TraceError
+from workcell.errors import InputError, TraceError
 from workcell.trace.readings import (
-    Span,
     control_setting,
     period_s,
     scaled_down,
@@ -32,6 +31,7 @@ from workcell.trace.readings import (
     support_arm,
 )
 from workcell.trace.table import Trace
+from workcell.view.instants import time_stamps
 from workcell.view.limits import TTC_CAP_IN_T_MIN
 from workcell.view.palette import (
     COMMANDED,
@@ -44,11 +44,6 @@ from workcell.view.palette import (
 )
 from workcell.view.stills import NoPictures, render
 
-ENCOUNTER_GAP_S = 0.5
-"""Scaling that pauses for less is one encounter: chosen to bridge a change of witness points."""
-ENCOUNTER_LEAST_S = 0.1
-"""Scaling for less is a passing change of witness points, too short for an onlooker to see."""
-
 _log = logging.getLogger(__name__)
 _STYLE: dict[Any, Any] = {
     "font.size": 11,
@@ -59,105 +54,73 @@ _STYLE: dict[Any, Any] = {
     "grid.alpha": 0.25,
     "lines.linewidth": 1.6,
     "legend.frameon": False,
+    "svg.hashsalt": "workcell",
 }
 _DPI = 150
+_UNDATED: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
+    "svg": {"Date": None, "Creator": None},
+}
 _SCALING_SHADE = (0.98, 0.93, 0.75)
 
 
-def paper_figures(trace: Trace, scene_xml: Path | str, out_dir: Path | str) -> list[Path]:
+FORMATS = ("png", "pdf", "svg")
+
+
+def paper_figures(
+    trace: Trace, scene_xml: Path | str, out_dir: Path | str, *, formats: Sequence[str] = ("png",)
+) -> list[Path]:
     """Draws the figures.
 
     Args:
         trace: The run.
         scene_xml: Its scene, for the pictures of the cell.
         out_dir: Folder for the files, made if it is missing.
+        formats: Some of `FORMATS`; every figure is written in each.
 
     Returns:
-        The files written. `figure5.png` is left out, with a warning that says why, where nothing
+        The files written. `figure5` is left out, with a warning that says why, where nothing
         can draw the scene.
 
     Raises:
         TraceError: The trace has no rows or no arms.
+        InputError: A format that is none of `FORMATS`.
     """
     if not len(trace):
         raise TraceError(f"{trace.source}: has no rows to draw")
+    unknown = sorted(set(formats) - set(FORMATS))
+    if unknown:
+        raise InputError(f"format {', '.join(unknown)}: allowed is {', '.join(FORMATS)}")
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     stamps = time_stamps(trace)
     figures: dict[str, Callable[[], Figure]] = {
-        "figure3.png": lambda: _time_to_collision_and_speed(trace, stamps),
-        "figure4.png": lambda: _artc(trace, stamps),
-        "figure5.png": lambda: _cell(trace, scene_xml, stamps),
-        "overview.png": lambda: _overview(trace, stamps),
+        "figure3": lambda: _time_to_collision_and_speed(trace, stamps),
+        "figure4": lambda: _artc(trace, stamps),
+        "figure5": lambda: _cell(trace, scene_xml, stamps),
+        "overview": lambda: _overview(trace, stamps),
     }
     written = []
     for name, draw in figures.items():
         try:
             with matplotlib.rc_context(_STYLE):
                 figure = draw()
-                _save(figure, folder / name)
+                written += [_save(figure, folder / f"{name}.{kind}") for kind in formats]
         except NoPictures as error:
             _log.warning("%s is left out: %s", name, error)
-            continue
-        written.append(folder / name)
     return written
 
 
-def time_stamps(trace: Trace) -> tuple[int, int, int, int]:
-    """The four instants that tell the story of a run, as ticks of the trace, in order.
-
-    Scaling of the support arm up to the first halt falls into encounters. With two or more: onset
-    of the first, the smallest distance around it, onset of the last, and the halt or else the
-    smallest distance of the last. With one: onset, two between, and its end. Without any: four
-    evenly spread.
-    """
-    count = len(trace)
-    even = np.linspace(0, count - 1, 6)[1:5].astype(int)
-    halts = np.flatnonzero(trace["mode"] == "halt")
-    halt = int(halts[0]) if halts.size else None
-    encounters = _encounters(trace, count if halt is None else halt)
-    if not encounters:
-        return _four(even)
-    distance_m = smallest_distance_m(trace)
-
-    def closest(start: int, stop: int) -> int:
-        return start + int(np.argmin(distance_m[start:stop]))
-
-    first, last = encounters[0], encounters[-1]
-    end = closest(last.start, last.stop) if halt is None else halt
-    if len(encounters) > 1:
-        # The closest moment may follow just after the speed is free again.
-        margin = round(ENCOUNTER_GAP_S / period_s(trace))
-        around = closest(first.start, min(first.stop + margin, encounters[1].start))
-        story = np.array([first.start, around, last.start, end])
-    else:
-        story = np.linspace(first.start, end, 4).astype(int)
-    return _four(story if np.all(np.diff(story) > 0) else even)
-
-
-def _encounters(trace: Trace, stop: int) -> list[Span]:
-    """Times of scaling of the support arm before a tick, short pauses bridged, blips left out."""
-    dt_s = period_s(trace)
-    found: list[Span] = []
-    for span in spans(scaled_down(trace, support_arm(trace))[:stop]):
-        if found and (span.start - found[-1].stop) * dt_s < ENCOUNTER_GAP_S:
-            span = Span(found.pop().start, span.stop)
-        found.append(span)
-    return [span for span in found if len(span) * dt_s >= ENCOUNTER_LEAST_S]
-
-
-def _four(ticks: NDArray[np.int64]) -> tuple[int, int, int, int]:
-    one, two, three, four = (int(tick) for tick in ticks)
-    return one, two, three, four
-
-
-def _save(figure: Figure, path: Path) -> None:
-    """Writes the figure whole or not at all, without the version that would change its bytes."""
+def _save(figure: Figure, path: Path) -> Path:
+    """Writes the figure whole or not at all, without the version and date that would change its bytes."""
     temporary = path.with_name(path.name + ".part")
     figure.align_ylabels()
     FigureCanvasAgg(figure)
-    figure.savefig(temporary, format="png", dpi=_DPI, metadata={"Software": None})
+    kind = path.suffix.removeprefix(".")
+    figure.savefig(temporary, format=kind, dpi=_DPI, metadata=_UNDATED[kind])
     os.replace(temporary, path)
+    return path
 
 
 def _time_to_collision_and_speed(trace: Trace, stamps: tuple[int, ...]) -> Figure:
@@ -183,7 +146,9 @@ def _artc(trace: Trace, stamps: tuple[int, ...]) -> Figure:
 
 def _cell(trace: Trace, scene_xml: Path | str, stamps: tuple[int, ...]) -> Figure:
     """Figure 5 of the paper."""
-    pictures = render(scene_xml, trace["qpos"][list(stamps)], width=800, height=600)
+    pictures = render(
+        scene_xml, trace["qpos"][list(stamps)], width=800, height=600, arms=trace.layout.arms
+    )
     figure = Figure(figsize=(9, 7.2), layout="constrained")
     distance_m = smallest_distance_m(trace)
     panels = figure.subplots(2, 2).ravel()
