@@ -24,6 +24,7 @@ from workcell.errors import ControlFault, InputError, TraceError
 from workcell.guard.check_setup import check_settings, refusal, without_geometry
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.supervisor import LatchedCheck
+from workcell.judge import judge_trace
 from workcell.provenance import layout, metadata, origin, versions
 from workcell.scenario import Live, Scenario
 from workcell.scene import cell as scene
@@ -254,11 +255,16 @@ def read_summary(out: Path) -> dict | None:
 def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
     """Metrics of a run, the verdict on each expectation, and where it all came from."""
     stop = _stop_of_check(ending)
-    values = metrics.summarise(trace) | {
-        "fault": ending.fault,
-        "interrupted": ending.interrupted,
-        CHECK_STOP: stop,
-    }
+    # Of contact, distances and times the independent judge has the last word, by the plant's states.
+    values = (
+        metrics.summarise(trace)
+        | judge_trace(trace, cell.model).metrics()
+        | {
+            "fault": ending.fault,
+            "interrupted": ending.interrupted,
+            CHECK_STOP: stop,
+        }
+    )
     verdicts = judge(values, cell.scenario.expect)
     held = (
         ending.fault is None
