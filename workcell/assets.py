@@ -11,6 +11,9 @@ _ROOT = _INSTALLED if _INSTALLED.is_dir() else _PACKAGE.parent
 MODELS = _ROOT / "mjcf"
 SCENARIOS = _ROOT / "scenarios"
 
+LIBRARY_PREFIXES = ("menagerie:", "robot_descriptions:")
+"""Of models that come from a library of arms, adapted into the user's cache."""
+
 
 def model_names() -> list[str]:
     """Names of the shipped arm models, each a folder with an MJCF file of the same name."""

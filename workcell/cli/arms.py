@@ -1,4 +1,4 @@
-"""The command that adapts an arm file: import."""
+"""Commands about arm files: import, and the look that `check` takes at one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from workcell import scenario as scenario_file
-from workcell.cli.terminal import OK, stdout
+from workcell.cli.terminal import FAILED, OK, stdout
 from workcell.errors import InputError
 
 
@@ -43,7 +43,6 @@ def import_(
 ) -> int:
     """Adapt an arm file: capsules, housing, servos, limits, home, a picture and a first scenario; the original is not touched."""
     from workcell.scene.adapt import Wishes, adapt
-    from workcell.view import arm_sides
 
     if not arm_file.is_file():
         raise InputError(
@@ -62,7 +61,7 @@ def import_(
         target.write_text(adapted.xml, encoding="utf-8")
     except OSError as error:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
-    arm_sides.draw(adapted.xml, adapted.home_rad, folder / f"{adapted.name}.png")
+    pictured = _picture(adapted, folder / f"{adapted.name}.png")
     said = _starter(adapted, folder / f"{adapted.name}_pair.toml")
     for title, lines in (
         ("done", adapted.did),
@@ -72,10 +71,38 @@ def import_(
         for line in lines:
             stdout.print(f"{title}: {line}", markup=False)
     stdout.print(f"home_rad = [{', '.join(f'{q:g}' for q in adapted.home_rad)}]", markup=False)
-    for kind in (".xml", ".png", "_pair.toml"):
-        stdout.print(str(folder / f"{adapted.name}{kind}"), markup=False)
+    for line in (target, pictured, folder / f"{adapted.name}_pair.toml"):
+        stdout.print(str(line), markup=False)
     stdout.print(said, markup=False)
     return OK
+
+
+def _picture(adapted, path: Path) -> str:
+    """Draw the arm from three sides, where the library for it is installed."""
+    try:
+        from workcell.view import arm_sides
+    except ModuleNotFoundError:
+        return "no picture: pip install 'ttc-workcell[figures]'"
+    arm_sides.draw(adapted.xml, adapted.home_rad, path)
+    return str(path)
+
+
+def check_arm(path: Path) -> int:
+    """Say what an arm file lacks, in the order in which to mend it, and what is assumed of it."""
+    from workcell.scene.adapt.look import look
+
+    if not path.is_file():
+        raise InputError(f"no such arm file: {str(path)!r}")
+    missing, told = look(path)
+    for number, fault in enumerate(missing, start=1):
+        stdout.print(f"{number}. {fault}", markup=False)
+    for line in told:
+        stdout.print(line, markup=False)
+    if not missing:
+        stdout.print(f"{path}: an arm of a cell as it is", markup=False)
+        return OK
+    stdout.print(f"{path}: {len(missing)} things to mend; `workcell import {path}`", markup=False)
+    return FAILED
 
 
 def _starter(adapted, path: Path) -> str:

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from workcell import assets
 from workcell import scenario as scenario_file
+from workcell.cli.arms import check_arm
 from workcell.cli.options import Overrides, ScenarioName
 from workcell.cli.terminal import OK, stdout
 
@@ -23,10 +24,11 @@ def list_() -> int:
 
 
 def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
-    """Check a scenario without running it: the file, the cell, the start, reach, room to brake, and the final check's geometry."""
+    """Check a scenario, or an arm file (.xml, .urdf), without running it: the file, the cell, the start, reach, room to brake, and the final check's geometry."""
+    if scenario.endswith((".xml", ".urdf")):
+        return check_arm(Path(scenario))
     from workcell import run as runner
     from workcell.guard.check_setup import left_out, try_checker
-    from workcell.guard.sizing import late_stops
     from workcell.scene.compose import SCENE_FILE
 
     loaded = scenario_file.load(scenario, set)
@@ -39,6 +41,6 @@ def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
     stdout.print(
         f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
     )
-    for note in (*cell.notes, *not_checked, *late_stops(cell)):
+    for note in (*cell.notes, *not_checked):
         stdout.print(note, markup=False)
     return OK

@@ -99,7 +99,9 @@ def _resolve_models(content: dict[str, Any], folder: Path) -> None:
     for arm in arms if isinstance(arms, list) else []:
         if not isinstance(arm, dict):
             continue
-        if arm.get("model") not in assets.model_names():
+        model = arm.get("model")
+        of_library = isinstance(model, str) and model.startswith(assets.LIBRARY_PREFIXES)
+        if not of_library and model not in assets.model_names():
             _make_absolute(arm, "model", folder)
         if isinstance(arm.get("operator"), dict):
             for key in ("file", "run"):

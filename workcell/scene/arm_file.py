@@ -228,7 +228,6 @@ def _neutralised(model: mujoco.MjModel) -> Iterator[str]:
         (model.nskin, "skins"),
         (model.ntex, "textures"),
         (model.npair, "contact pairs"),
-        (model.nkey, "keyframes"),
     ):
         if count:
             yield f"{count} {what}: left out, nothing in a cell uses them"

@@ -95,8 +95,8 @@ def arm_part(arm: Arm, scenario: Scenario) -> ArmPart:
             site, a locked joint or the keyframe does not exist; `home_rad` has a wrong length; housing
             is bare. All reasons at once.
     """
-    path = assets.model_file(arm.model) if arm.model in assets.model_names() else Path(arm.model)
     key = f"arm.{arm.name}"
+    path = _path_of(arm.model, key)
     if not path.is_file():
         raise InputError(
             f"{key}.model = {arm.model!r}: no such arm file; allowed: a path to an MJCF file, or one of {', '.join(assets.model_names())}"
@@ -120,6 +120,21 @@ def arm_part(arm: Arm, scenario: Scenario) -> ArmPart:
         raise InputError(faults)
     asked = len(driven) if isinstance(arm.home_rad, str) else len(arm.home_rad)
     return ArmPart(arm.name, file, form, home, watched, bare, asked)
+
+
+def _path_of(model: str, key: str) -> Path:
+    """The arm file of a shipped name, a library's arm or a path."""
+    if model in assets.model_names():
+        return assets.model_file(model)
+    if not model.startswith(assets.LIBRARY_PREFIXES):
+        return Path(model)
+    # The importer takes a second to import, which scenes of shipped arms need not wait for.
+    from workcell.scene.adapt.library import adapted_file
+
+    try:
+        return adapted_file(model)
+    except InputError as error:
+        raise InputError([f"{key}.model = {fault}" for fault in error.faults]) from error
 
 
 def driven_joints(file: ArmFile, site: int, locked: dict[str, float]) -> tuple[int, ...]:

@@ -109,10 +109,11 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
     model = mujoco.MjModel.from_xml_string(write.xml(parts, gains, excluded.pairs))
     chosen = home.choose(model, excluded.pairs, _keyframe(file, chain.driven))
     _hold_against(file, model, chain, configuration, links, zero, wishes.tool_offset_m)
+    home_rad = tuple(round(float(q), 4) for q in chosen.q)
     return Adapted(
         name=name,
-        xml=write.xml(parts, gains, excluded.pairs),
-        home_rad=tuple(round(float(q), 4) for q in chosen.q),
+        xml=write.xml(parts, gains, excluded.pairs, home_rad),
+        home_rad=home_rad,
         did=(
             f"{len(chain.driven)} joints from {chain.root_name(file)} to {chain.tool_name}: {', '.join(file.joints[j] for j in chain.driven)}",
             *said_of_locked,

@@ -165,7 +165,10 @@ def _guess_tool(file: ArmFile, bodies: set[int]) -> tuple[int | None, int]:
         if named:
             site = max(named, key=lambda s: (joints(int(model.site_bodyid[s])), -s))
             return site, int(model.site_bodyid[site])
-    # A body that is called like a hand and carries something; fingers lie beyond it.
+    for word in _TOOL_WORDS:
+        hands = [b for b in bodies if word in file.bodies[b].lower() and joints(b) > 0]
+        if hands:
+            return None, max(hands, key=lambda b: (joints(b), -b))
     return None, max(bodies, key=lambda b: (joints(b), -b))
 
 

@@ -67,9 +67,12 @@ def volume(corners: NDArray[np.float64]) -> float:
 
 
 def xml(
-    parts: Parts, gains: Sequence[tuple[float, float]] | None = None, excluded: Pairs = ()
+    parts: Parts,
+    gains: Sequence[tuple[float, float]] | None = None,
+    excluded: Pairs = (),
+    home_rad: Sequence[float] | None = None,
 ) -> str:
-    """The whole text; without servos where no gains are given."""
+    """The whole text; without servos where no gains are given, without keyframe where no home is."""
     root = etree.Element("mujoco", model=parts.name)
     root.append(
         etree.Comment(f" Adapted from {parts.source} by `workcell import`; docs/arms.md says how. ")
@@ -101,6 +104,9 @@ def xml(
             etree.SubElement(
                 actuators, "position", name=name, joint=name, kp=f"{kp:g}", kv=f"{kv:g}"
             )
+    if home_rad is not None:
+        keyframe = etree.SubElement(root, "keyframe")
+        etree.SubElement(keyframe, "key", name="home", qpos=_text(np.array(home_rad)))
     etree.indent(root)
     return etree.tostring(root, encoding="unicode") + "\n"
 
