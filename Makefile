@@ -6,7 +6,7 @@ SCENARIO ?= handover
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-long pictures bless lint type imports check bench lock wheel clean
+.PHONY: help install run test test-long hostile pictures bless lint type imports check bench lock wheel clean
 
 help:       ## say what there is
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
@@ -40,6 +40,9 @@ test-long: install  ## the suites that take longer
 
 pictures: install  ## make the pictures of README and docs anew, from the reference runs
 	$(BIN)/python docs/images/make.py
+
+hostile: install  ## a thousand judged runs against a hostile hand, into runs/hostile (RUNS=1000)
+	$(BIN)/python -m workcell.study.hostile --runs $(or $(RUNS),1000)
 
 bless: install  ## make what a scenario does now its reference (SCENARIO=... REASON="...")
 	$(BIN)/workcell bless $(SCENARIO) --reason "$(REASON)"

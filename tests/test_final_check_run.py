@@ -24,8 +24,7 @@ from workcell import run as runner
 from workcell.control.controller import Controller
 from workcell.errors import InputError
 from workcell.guard.check_setup import check_settings
-from workcell.scene.compose import SCENE_FILE
-from workcell.study.contact import ContactJudge
+from workcell.judge import ContactWatch, JudgedScene
 from workcell.trace.table import load
 
 VELOCITY_RAD_S, ACCELERATION_RAD_S2 = [0.5, 0.5, 0.75], [0.8, 0.8, 1.2]
@@ -85,22 +84,23 @@ def approach(rng: np.random.Generator) -> dict:
     ]
     content["simulation"] |= {"period_s": 0.01, "duration_s": 4.0}
     content["check"] = {"d_min_m": CHECK_D_MIN_M}
-    content["sabotage"] = {"factor_multiplier": 1e9}
+    content["sabotage"] = {"factor_multiplier": 1e6}
     return content
 
 
-def end_of_approach(folder: Path, content: dict) -> tuple[ContactJudge, runner.Ending] | None:
+def end_of_approach(folder: Path, content: dict) -> tuple[ContactWatch, runner.Ending] | None:
     """One run until the nurse stands or touches; None if the draw cannot be run."""
     try:
         cell = runner.prepare(cells.load(folder, content), folder / "run" / runner.SCENE_FOLDER)
     except InputError:
         return None
-    scene_xml = folder / "run" / runner.SCENE_FOLDER / SCENE_FILE
-    judge = ContactJudge(cell, scene_xml, runner.check_settings(cell))
+    settings = cell.scenario.model_dump(mode="json")
+    of_arms = {arm.name: arm.dofs.tolist() for arm in cell.arms}
+    judge = ContactWatch(JudgedScene(cell.model, settings, of_arms), clear_m=CHECK_D_MIN_M)
     dofs = next(arm.dofs for arm in cell.arms if arm.name == "nurse")
 
     def watch(tick: int, data: mujoco.MjData, controller: Controller) -> bool:
-        judge.look(tick, data, controller)
+        judge.look(tick * cell.period_s, data.qpos, data.qvel)
         stands = tick > 0 and not controller.record.command_rad_s[dofs].any()
         return judge.contact is not None or (stands and controller.record.check_state == "halt")
 

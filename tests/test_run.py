@@ -61,6 +61,21 @@ def test_a_run_folder_holds_what_it_promises(twice):
     assert set(summary["versions"]) >= {"workcell", "mujoco", "mink", "daqp"}
 
 
+def test_a_run_says_which_phase_begins(tmp_path):
+    told = []
+    scenario = cells.load(
+        tmp_path, cells.duet(), "simulation.duration_s=0.1", "check.enabled=false"
+    )
+    runner.run(
+        scenario, tmp_path / "run",
+        progress=lambda done, total: told.append(done), phase=told.append,
+    )  # fmt: skip
+    names = [what for what in told if isinstance(what, str)]
+    assert names == ["preparing", "simulating", "judging", "recording"]
+    between = told[told.index("simulating") : told.index("judging")]
+    assert between[-1] == scenario.ticks, "ticks are counted while it simulates"
+
+
 def test_time_is_tick_times_period(twice):
     trace = load(twice[0])
     np.testing.assert_array_equal(trace["tick"], np.arange(200))

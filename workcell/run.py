@@ -24,6 +24,7 @@ from workcell.errors import ControlFault, InputError, TraceError
 from workcell.guard.check_setup import check_settings, refusal, without_geometry
 from workcell.guard.monitor import FinalCheck
 from workcell.guard.supervisor import LatchedCheck
+from workcell.judge import judge_trace
 from workcell.provenance import layout, metadata, origin, versions
 from workcell.scenario import Live, Scenario
 from workcell.scene import cell as scene
@@ -69,7 +70,11 @@ class Ending:
 
 
 def run(
-    scenario: Scenario, out: Path, *, progress: Callable[[int, int], None] | None = None
+    scenario: Scenario,
+    out: Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    phase: Callable[[str], None] | None = None,
 ) -> dict:
     """Run a scenario into a run folder.
 
@@ -77,6 +82,7 @@ def run(
         scenario: What to run.
         out: Run folder; made if missing; what an earlier run left in it is removed first.
         progress: Called with (ticks done, ticks of a full run) now and then.
+        phase: Called with what begins: preparing, simulating, judging, recording.
 
     Returns:
         The summary, as written to summary.json.
@@ -85,13 +91,16 @@ def run(
         InputError: the scenario cannot be run as it is, or another simulation of this process is under way.
     """
     _refuse_live(scenario)
+    say = phase or (lambda what: None)
     begin(out)
+    say("preparing")
     cell = prepare(scenario, out / SCENE_FOLDER)
     check_space(out, layout(cell), scenario.ticks)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     (out / ORIGIN_FILE).write_text(json.dumps(origin(cell), indent=2) + "\n", encoding="utf-8")
+    say("simulating")
     ending = simulate(cell, out, progress=progress)
-    return conclude(cell, out, ending)
+    return conclude(cell, out, ending, phase=say)
 
 
 def begin(out: Path) -> None:
@@ -199,16 +208,21 @@ def final_check(cell: Cell, out: Path, *, live: bool = False) -> Iterator[Latche
         yield LatchedCheck(check, period_s=cell.period_s, live=live)
 
 
-def conclude(cell: Cell, out: Path, ending: Ending) -> dict:
-    """Judge the trace, write the summary and derive the recording."""
+def conclude(
+    cell: Cell, out: Path, ending: Ending, *, phase: Callable[[str], None] | None = None
+) -> dict:
+    """Judge the trace, write the summary and derive the recording; `phase` hears which of it begins."""
+    say = phase or (lambda what: None)
     # rerun takes half a second to import, which `check` need not wait for
     from workcell.view import recording as view
 
+    say("judging")
     trace = load(out)
     summary = summarise(cell, trace, ending)
     (out / SUMMARY_FILE).write_text(
         json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
     )
+    say("recording")
     view.record(trace, out / SCENE_FOLDER / SCENE_FILE, out / RECORDING_FILE, summary=summary)
     return summary
 
@@ -241,11 +255,16 @@ def read_summary(out: Path) -> dict | None:
 def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
     """Metrics of a run, the verdict on each expectation, and where it all came from."""
     stop = _stop_of_check(ending)
-    values = metrics.summarise(trace) | {
-        "fault": ending.fault,
-        "interrupted": ending.interrupted,
-        CHECK_STOP: stop,
-    }
+    # Of contact, distances and times the independent judge has the last word, by the plant's states.
+    values = (
+        metrics.summarise(trace)
+        | judge_trace(trace, cell.model).metrics()
+        | {
+            "fault": ending.fault,
+            "interrupted": ending.interrupted,
+            CHECK_STOP: stop,
+        }
+    )
     verdicts = judge(values, cell.scenario.expect)
     held = (
         ending.fault is None

@@ -44,7 +44,16 @@ def film(
         title = settings.get("name", run.name) if len(runs) == 1 else run.name
         clips.append(Clip(trace, run / SCENE_FOLDER / SCENE_FILE, title))
     target = out or runs[0] / "film.mp4"
-    with progress_bar("drawing"):
-        made = make(clips, target, speed=speed, fps=fps, height=height, start_s=start, end_s=end)
+    with progress_bar("drawing") as bar:
+        made = make(
+            clips,
+            target,
+            speed=speed,
+            fps=fps,
+            height=height,
+            start_s=start,
+            end_s=end,
+            progress=bar,
+        )
     stdout.print(f"{made} ({made.stat().st_size / 1e6:.2f} MB)", markup=False)
     return OK

@@ -25,7 +25,7 @@ def run(
 
     loaded = scenario_file.load(scenario, set)
     folder = out or Path("runs") / loaded.name
-    with progress_bar(f"running {loaded.name}") as progress:
-        summary = runner.run(loaded, folder, progress=progress)
+    with progress_bar(loaded.name) as bar:
+        summary = runner.run(loaded, folder, progress=bar, phase=bar and bar.phase)
     report(summary, folder)
     return OK if summary["held"] else FAILED

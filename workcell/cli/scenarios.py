@@ -29,6 +29,7 @@ def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
         return check_arm(Path(scenario))
     from workcell import run as runner
     from workcell.guard.check_setup import left_out, try_checker
+    from workcell.guard.sizing import late_stops
     from workcell.scene.compose import SCENE_FILE
 
     loaded = scenario_file.load(scenario, set)
@@ -41,6 +42,6 @@ def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
     stdout.print(
         f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
     )
-    for note in (*cell.notes, *not_checked):
+    for note in (*cell.notes, *not_checked, *late_stops(cell)):
         stdout.print(note, markup=False)
     return OK

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from rich.markdown import Markdown
 
 from workcell import scenario as scenario_file
 from workcell.cli.options import Cluster, Overrides, ScenarioName, Workers
-from workcell.cli.terminal import FAILED, OK, progress_bar, stderr, stdout
+from workcell.cli.terminal import FAILED, OK, narrow, progress_bar, stderr, stdout
 
 
 def sweep(
@@ -53,7 +54,7 @@ def sweep(
             progress=bar and (lambda now: bar(now.done, now.total)),
         )
     page = report.conclude(folder, report.command_line("sweep", scenario, options))
-    stdout.print(page.read_text(encoding="utf-8"))
+    narrow.print(Markdown(page.read_text(encoding="utf-8")))
     stdout.print(str(folder))
     if not complete:
         stderr.print("interrupted; --resume goes on")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -43,8 +43,24 @@ def report(summary: dict, folder: Path) -> None:
     )
 
 
+class Bar:
+    """A progress bar that says what it is doing."""
+
+    def __init__(self, bar: Progress, what: str):
+        self._bar, self._what = bar, what
+        self._task = bar.add_task(what, total=None)
+
+    def __call__(self, done: int, total: int) -> None:
+        """So much of it is done."""
+        self._bar.update(self._task, completed=done, total=total)
+
+    def phase(self, name: str) -> None:
+        """Something else begins, of which nothing is done yet."""
+        self._bar.reset(self._task, description=f"{self._what}: {name}", total=None)
+
+
 @contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(what: str) -> Iterator[Bar | None]:
     """A progress bar on a terminal, nothing elsewhere."""
     if not stderr.is_terminal:
         yield None
@@ -56,5 +72,4 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None] | None]:
         TimeRemainingColumn(),
         console=stderr,
     ) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        yield Bar(bar, what)

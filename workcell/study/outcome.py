@@ -2,7 +2,7 @@
 
 Comes in: a scenario, concrete. Goes out: an `Outcome`, the same on any machine of a kind, and, for
 a run that failed, the files of its run folder. A success is: every job done, nobody touched by the
-independent judge (contact.py), no halt of the final check, no fault. A run ends soon after the
+independent judge (`workcell.judge`), no halt of the final check, no fault. A run ends soon after the
 last job is done: what would follow is a person alone.
 """
 
@@ -17,14 +17,12 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from workcell import run as runner
 from workcell.control.controller import Controller
 from workcell.errors import InputError
+from workcell.judge import Verdict, judge_trace
 from workcell.scenario import Scenario
-from workcell.scene.compose import SCENE_FILE
-from workcell.study.contact import ContactJudge
 from workcell.trace import metrics
 from workcell.trace.table import Trace, load
 
@@ -37,10 +35,6 @@ JOURNAL_S = 10.0
 """Simulated time between writes of a run's journal: a run that is killed is made again, so nothing is lost by few."""
 AFTER_DONE_S = 1.0
 """Simulated time a run goes on after its last job is done; chosen as the default t_min."""
-SHORT_SHARE = 0.99
-"""A commanded time to collision below this share of t_min is too short; the bound of the scenarios' `[expect]`."""
-STANDING_RAD_S = 1e-4
-"""An arm whose joints are all commanded slower stands: at a reach of 1 m, 0.1 mm/s."""
 WAITING_JOBS = ("wait", "dwell", "done")
 """Jobs in which standing still is what was asked."""
 
@@ -89,9 +83,9 @@ class Outcome:
     smallest_ttc_s: float | None = None
     """Smallest time to collision from measured velocities, s."""
     smallest_ttc_command_own_s: float | None = None
-    """The same from commanded velocities, but where the other arm alone broke the bound, s."""
+    """The same from commanded velocities, of what support arms answer for, pair by pair, s."""
     short_ticks: int | None = None
-    """Ticks at which that one is below `SHORT_SHARE` of t_min."""
+    """Ticks at which what a support arm answers for is below 0.99 of t_min, over all of them."""
     short_reason: str = ""
     """What the support arms say in the worst of these ticks."""
     tool_error_m: float | None = None
@@ -146,17 +140,16 @@ def _outcome(
 ) -> Outcome:
     try:
         cell = runner.prepare(scenario, folder / runner.SCENE_FOLDER)
-        judge = ContactJudge(
-            cell, folder / runner.SCENE_FOLDER / SCENE_FILE, runner.check_settings(cell)
-        )
-        ending = runner.simulate(cell, folder, watch=_Watch(scenario, judge), flush_s=JOURNAL_S)
+        ending = runner.simulate(cell, folder, watch=_Watch(scenario), flush_s=JOURNAL_S)
     except InputError as error:
         return Outcome(run, setting, "refused", reason="; ".join(error.faults))
     if ending.interrupted:
         return Outcome(run, setting, "interrupted")
     if not ending.ticks:
         return Outcome(run, setting, "fault", reason=ending.fault or "")
-    outcome = _measure(run, setting, scenario, load(folder), ending, judge)
+    trace = load(folder)
+    verdict = judge_trace(trace, cell.model)
+    outcome = _measure(run, setting, scenario, trace, ending, verdict)
     if keep_failures and not outcome.success:
         (folder / runner.SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
         runner.conclude(cell, folder, ending)
@@ -164,16 +157,14 @@ def _outcome(
 
 
 class _Watch:
-    """Lets the judge look, and ends the run some time after its last job is done."""
+    """Ends the run some time after its last job is done."""
 
-    def __init__(self, scenario: Scenario, judge: ContactJudge):
-        self._judge = judge
+    def __init__(self, scenario: Scenario):
         self._support = [arm.name for arm in scenario.arm if arm.job]
         self._left = round(AFTER_DONE_S / scenario.simulation.period_s)
 
     def __call__(self, tick: int, data: mujoco.MjData, controller: Controller) -> bool:
         """See `workcell.run.simulate`."""
-        self._judge.look(tick, data, controller)
         if tick and self._support:
             arms = controller.record.arms
             self._left -= all(arms[name].job == metrics.DONE_JOB for name in self._support)
@@ -186,15 +177,15 @@ def _measure(
     scenario: Scenario,
     trace: Trace,
     ending: runner.Ending,
-    judge: ContactJudge,
+    verdict: Verdict,
 ) -> Outcome:
     values = metrics.summarise(trace)
     support = [arm.name for arm in scenario.arm if arm.job]
     priority = [arm.name for arm in scenario.arm if not arm.job]
     done = all(str(trace[f"{arm}.job"][-1]) == "done" for arm in support)
     halt = None if ending.check is None else ending.check["halt"]
-    contact = judge.contact
-    short = _short(trace, support)
+    contact, own = verdict.contact, verdict.own
+    d_min_m = _check_d_min_m(scenario)
     return Outcome(
         run=run,
         setting=setting,
@@ -212,14 +203,16 @@ def _measure(
         contact_support_m_s=None if contact is None else contact.support_m_s,
         contact_priority_m_s=None if contact is None else contact.priority_m_s,
         done_s=max((done_at_s(trace, arm) for arm in support), default=0.0) if done else None,
-        smallest_m=_finite(judge.smallest_m),
-        smallest_pair=None if judge.smallest_pair is None else " and ".join(judge.smallest_pair),
-        below_d_min=judge.below_d_min,
-        smallest_support_m=_finite(judge.smallest_support_m),
-        smallest_ttc_s=_number(values["smallest_ttc_s"]),
-        smallest_ttc_command_own_s=_number(values["smallest_ttc_command_own_s"]),
-        short_ticks=int(short.sum()),
-        short_reason=_reason(trace, support, short),
+        smallest_m=verdict.smallest_m,
+        smallest_pair=None
+        if verdict.smallest_pair is None
+        else " and ".join(verdict.smallest_pair),
+        below_d_min=verdict.smallest_m is not None and verdict.smallest_m <= d_min_m,
+        smallest_support_m=verdict.smallest_support_m,
+        smallest_ttc_s=verdict.measured.ttc_s,
+        smallest_ttc_command_own_s=None if own is None else own.ttc_s,
+        short_ticks=verdict.short_ticks,
+        short_reason=_reason(trace, support, verdict),
         tool_error_m=_largest(values, priority, "max_tool_error_m"),
         tool_error_rad=_largest(values, priority, "max_tool_error_rad"),
         jerk_rad_s3=_largest(values, support, "peak_joint_jerk_rad_s3"),
@@ -227,22 +220,18 @@ def _measure(
     )
 
 
-def _short(trace: Trace, support: list[str]) -> NDArray[np.bool_]:
-    """Ticks at which the support arms' own commands leave less than t_min, (T,); arms that stand leave what they may."""
-    moving = np.zeros(len(trace), dtype=bool)
-    for arm in support:
-        command = trace["command_rad_s"][:, metrics.joint_columns(trace, arm)]
-        moving |= np.abs(command).max(axis=1, initial=0.0) > STANDING_RAD_S
-    own = metrics.answered_for(trace) & moving
-    return own & (np.where(own, trace["ttc_command_s"], np.inf) < SHORT_SHARE * trace["t_min_s"])
+def _check_d_min_m(scenario: Scenario) -> float:
+    """Distance at which the final check halts the arms if it is on."""
+    own = scenario.check.d_min_m
+    return scenario.control.d_min_m if own is None else own
 
 
-def _reason(trace: Trace, support: list[str], short: NDArray[np.bool_]) -> str:
-    """Mode and reason of the support arms in the tick that is shortest against t_min."""
-    if not short.any():
+def _reason(trace: Trace, support: list[str], verdict: Verdict) -> str:
+    """Mode and reason of the support arms in the tick whose time to collision was the shortest, where one was short."""
+    own = verdict.own
+    if not verdict.short_ticks or own is None or own.time_s is None:
         return ""
-    share = np.where(short, trace["ttc_command_s"] / trace["t_min_s"], np.inf)
-    tick = int(np.argmin(share))
+    tick = int(np.abs(trace["time_s"] - own.time_s).argmin())
     return ", ".join(
         f"{arm}: {trace[f'{arm}.mode'][tick]} {trace[f'{arm}.reason'][tick] or 'no reason'}"
         for arm in support
@@ -281,10 +270,6 @@ def _largest(values: dict[str, metrics.Metric], arms: list[str], name: str) -> f
 
 def _number(value: metrics.Metric) -> float | None:
     return float(value) if isinstance(value, (int, float)) else None
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _peak_memory_mb() -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import beta, t
+from scipy.stats import binomtest, sem, t
 
 CONFIDENCE = 0.95
 """Of every interval; chosen as what readers expect where nothing else is said."""
@@ -82,11 +82,9 @@ def rate(count: int, runs: int, confidence: float = CONFIDENCE) -> Rate:
         raise ValueError(f"count is {count}; it must be between 0 and runs, {runs}")
     if runs == 0:
         return Rate(0, 0, 0.0, 1.0)
-    risk = 1.0 - confidence
-    tail = risk if count in (0, runs) else risk / 2.0
-    low = 0.0 if count == 0 else float(beta.ppf(tail, count, runs - count + 1))
-    high = 1.0 if count == runs else float(beta.ppf(1.0 - tail, count + 1, runs - count))
-    return Rate(count, runs, low, high)
+    open_side = {0: "less", runs: "greater"}.get(count, "two-sided")
+    found = binomtest(count, runs, alternative=open_side).proportion_ci(confidence, method="exact")
+    return Rate(count, runs, float(found.low), float(found.high))
 
 
 def paired(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Difference:
@@ -105,8 +103,11 @@ def paired(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) 
     mean = float(change.mean())
     if n == 1:
         return Difference(1, mean, None, None)
-    half = float(t.ppf(0.5 + confidence / 2.0, n - 1) * change.std(ddof=1) / np.sqrt(n))
-    return Difference(n, mean, mean - half, mean + half)
+    error = float(sem(change))
+    if error == 0.0:  # the same change in all pairs: no spread to judge by
+        return Difference(n, mean, mean, mean)
+    low, high = t.interval(confidence, n - 1, loc=mean, scale=error)
+    return Difference(n, mean, float(low), float(high))
 
 
 def paired_events(

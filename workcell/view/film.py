@@ -8,7 +8,7 @@ the gauge, the line between the nearest bodies and a few words.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,6 +65,7 @@ def film(
     height: int = 480,
     start_s: float = 0.0,
     end_s: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write a film.
 
@@ -76,6 +77,7 @@ def film(
         height: Pixels of a run's picture.
         start_s: Where in the runs the film begins.
         end_s: Where it ends; None is the end of the longest run.
+        progress: Called with (pictures drawn, pictures in all) now and then.
 
     Raises:
         InputError: A value that no film can be made of, or a missing library.
@@ -92,13 +94,19 @@ def film(
     processes = max(1, min(_PROCESSES, os.cpu_count() or 1) // len(clips))
     panels = [_Panel(clip, times_s, height, processes=processes) for clip in clips]
     columns = 1 if len(clips) == 1 else 2
-    pictures = (_tiled(list(tiles), columns) for tiles in zip(*panels, strict=True))
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        for k, tiles in enumerate(zip(*panels, strict=True), 1):
+            yield _tiled(list(tiles), columns)
+            if progress and (k % fps == 0 or k == count):
+                progress(k, count)
+
     temporary = out.with_name(f"{out.stem}.part{out.suffix}")
     try:
         if out.suffix == ".mp4":
-            _write_mp4(temporary, pictures, fps)
+            _write_mp4(temporary, pictures(), fps)
         else:
-            _write_loop(temporary, pictures, fps)
+            _write_loop(temporary, pictures(), fps)
         os.replace(temporary, out)
     finally:
         temporary.unlink(missing_ok=True)
