@@ -9,6 +9,7 @@ import tyro
 
 from workcell.cli.extras import needs
 from workcell.cli.terminal import OK, progress_bar, stdout
+from workcell.errors import InputError
 
 Runs = Annotated[
     tuple[Path, ...],
@@ -32,6 +33,8 @@ def film(
 ) -> int:
     """Make a film of a run, or of several side by side: the cell, a gauge of the time to collision, and curves."""
     needs("matplotlib", "film")
+    if not runs:
+        raise InputError("film: RUN is missing; allowed is 1 to 4 run folders")
     from workcell.run import SCENE_FILE, SCENE_FOLDER
     from workcell.trace.table import load
     from workcell.view.film import Clip

@@ -141,6 +141,8 @@ def _refuse(
     for clip in clips:
         if not len(clip.trace):
             raise TraceError(f"{clip.trace.source}: has no rows to show")
+        if not clip.scene_xml.is_file():
+            raise TraceError(f"{clip.scene_xml}: no such scene")
 
 
 def gauge_colour(ttc_s: float, t_min_s: float) -> Rgb:

@@ -116,7 +116,10 @@ def is_current(rrd: Path | str, trace: Trace, *, summary: Mapping[str, Any] | No
 def _load_scene(trace: Trace, scene_xml: Path | str) -> mujoco.MjModel:
     if not len(trace):
         raise TraceError(f"{trace.source}: has no rows to show")
-    model = mujoco.MjModel.from_xml_path(str(scene_xml))
+    try:
+        model = mujoco.MjModel.from_xml_path(str(scene_xml))
+    except ValueError as error:
+        raise TraceError(f"{scene_xml}: is no scene: {error}") from error
     if model.nq != trace.layout.nq:
         raise TraceError(
             f"{trace.source}: has {trace.layout.nq} coordinates, {scene_xml} has {model.nq}"

@@ -19,7 +19,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.errors import WorkcellError
+from workcell.errors import InputError
 from workcell.view.palette import arm_colour, unit_rgb
 
 _PLATFORMS = ("egl", "osmesa") if sys.platform.startswith("linux") else ("",)
@@ -29,7 +29,7 @@ _TINT = 0.55
 _LINE_RADIUS_M = 0.006
 
 
-class NoPictures(WorkcellError):
+class NoPictures(InputError):
     """No OpenGL platform of this machine can draw; says what each of them answered."""
 
 
