@@ -26,7 +26,7 @@ def film(
         tyro.conf.arg(metavar="FILE", help="mp4, gif or webp; default film.mp4 in the first RUN"),
     ] = None,
     speed: Annotated[float, tyro.conf.arg(help="seconds of the run in a second of film")] = 1.0,
-    fps: Annotated[int, tyro.conf.arg(metavar="N", help="pictures a second")] = 25,
+    fps: Annotated[int, tyro.conf.arg(metavar="N", help="pictures a second")] = 20,
     height: Annotated[int, tyro.conf.arg(metavar="N", help="pixels of a run's picture")] = 480,
     start: Annotated[float, tyro.conf.arg(help="where in the run it begins, s")] = 0.0,
     end: Annotated[float | None, tyro.conf.arg(help="where it ends, s; default the end")] = None,

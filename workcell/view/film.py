@@ -61,7 +61,7 @@ def film(
     out: Path,
     *,
     speed: float = 1.0,
-    fps: int = 25,
+    fps: int = 20,
     height: int = 480,
     start_s: float = 0.0,
     end_s: float | None = None,
