@@ -260,6 +260,12 @@ def test_what_no_cell_can_carry_is_refused_by_name(tmp_path, words):
     assert "leg.xml" in fault
 
 
+def test_a_file_that_never_ends_is_refused_before_it_is_read(tmp_path):
+    leg(tmp_path, tail='<include file="/dev/zero"/>')
+    with pytest.raises(InputError, match="'/dev/zero', which is no file but a device"):
+        cells.build(tmp_path, beside(tmp_path))
+
+
 def test_a_tendon_that_does_nothing_by_itself_is_no_reason_to_refuse(tmp_path):
     leg(
         tmp_path,
