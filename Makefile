@@ -6,7 +6,7 @@ SCENARIO ?= handover
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-long hostile pictures bless lint type imports check bench lock wheel clean
+.PHONY: help install run test test-long fuzz hostile pictures bless lint type imports check bench lock wheel clean
 
 help:       ## say what there is
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
@@ -37,6 +37,9 @@ test: install  ## the tests, under five minutes on two cores
 
 test-long: install  ## the suites that take longer
 	$(BIN)/python -m pytest -n 2 -m long
+
+fuzz: install  ## 5,800 mutated inputs, seeded: none may end in a traceback, a hang or two gigabytes
+	$(BIN)/python -m tests.fuzz
 
 pictures: install  ## make the pictures of README and docs anew, from the reference runs
 	$(BIN)/python docs/images/make.py

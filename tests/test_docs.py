@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from workcell import scenario
 from workcell.cli import COMMANDS
 from workcell.signals import ARM_SIGNALS, CELL_SIGNALS
+from workcell.trace.metric_names import ARM_METRICS, CELL_METRICS
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -95,6 +96,17 @@ def test_every_column_of_the_trace_is_documented():
         ("Columns of each arm", ARM_SIGNALS),
     ):
         wanted = {s.name: [s.unit or "–", s.meaning] for s in signals}
+        got = {name: [cells[0], cells[1].rstrip(" |")] for name, cells in documented[title].items()}
+        assert got == wanted
+
+
+def test_every_metric_is_documented():
+    documented = sections(ROOT / "docs" / "metrics.md")
+    for title, metrics in (
+        ("Metrics of the cell", CELL_METRICS),
+        ("Metrics of each arm", ARM_METRICS),
+    ):
+        wanted = {m.name: [m.unit or "–", m.meaning] for m in metrics}
         got = {name: [cells[0], cells[1].rstrip(" |")] for name, cells in documented[title].items()}
         assert got == wanted
 

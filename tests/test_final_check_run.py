@@ -200,6 +200,7 @@ def test_a_stop_that_the_scenario_expects_is_no_failure(tmp_path):
 def test_priority_arms_are_stopped_only_if_the_scenario_says_so(tmp_path, stops, modes):
     content = cells.duet()
     content["check"] = {"d_min_m": 0.4, "stops_priority_arms": stops}
+    content["expect"] = {"stopped_by_check": "halt"}
     runner.run(cells.load(tmp_path, content, "simulation.duration_s=0.2"), tmp_path / "run")
     trace = load(tmp_path / "run")
     assert (trace["nurse.mode"] == "halt").all()

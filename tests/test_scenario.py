@@ -191,6 +191,15 @@ def test_what_is_no_scenario_file_is_refused_in_time(tmp_path):
         scenario.load("x" * 5000)
 
 
+def test_a_newer_format_is_refused_and_this_one_is_written(tmp_path):
+    assert "format = 2: this program reads formats up to 1" in refusal(
+        tmp_path, cells.duet(), "format=2"
+    )
+    loaded = cells.load(tmp_path, cells.duet(), "format=1")
+    assert loaded.to_toml().startswith("format = 1\n")
+    assert loaded.digest() == cells.load(tmp_path, cells.duet()).digest()
+
+
 def test_several_faults_are_reported_at_once(tmp_path):
     content = cells.duet(t_min_s=-1.0, d_min=0.01)
     content["arm"][0]["base_position_m"] = [0.0, float("nan"), 0.0]

@@ -11,6 +11,8 @@ give the same trace.
 from __future__ import annotations
 
 import json
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from pathlib import Path
 
 import mujoco
 
-from workcell.control import feasible
+from workcell.admission import STOPPED_BY_CHECK, admit
 from workcell.control.controller import Controller
 from workcell.errors import ControlFault, InputError, TraceError
 from workcell.guard.check_setup import check_settings, refusal, without_geometry
@@ -27,7 +29,6 @@ from workcell.guard.supervisor import LatchedCheck
 from workcell.judge import judge_trace
 from workcell.provenance import layout, metadata, origin, versions
 from workcell.scenario import Live, Scenario
-from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
 from workcell.simulation.plant import Plant
@@ -36,6 +37,7 @@ from workcell.trace.expectations import judge
 from workcell.trace.preflight import check_space, check_writable, remove_earlier
 from workcell.trace.stored import INDEX_NAME
 from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, Trace, load
+from workcell.trace.why import why
 from workcell.trace.writer import FLUSH_S, TraceWriter
 
 SCENARIO_FILE = "scenario.toml"
@@ -51,7 +53,7 @@ OUTPUTS = (
     "comparison.txt", "comparison.png", "comparison.rrd",
 )  # fmt: skip
 """All that a run and the commands after it write into a run folder."""
-CHECK_STOP = "stopped_by_check"
+CHECK_STOP = STOPPED_BY_CHECK
 """Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
 
 
@@ -92,15 +94,27 @@ def run(
     """
     _refuse_live(scenario)
     say = phase or (lambda what: None)
-    begin(out)
     say("preparing")
-    cell = prepare(scenario, out / SCENE_FOLDER)
+    cell = open_folder(scenario, out)
     check_space(out, layout(cell), scenario.ticks)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     (out / ORIGIN_FILE).write_text(json.dumps(origin(cell), indent=2) + "\n", encoding="utf-8")
     say("simulating")
     ending = simulate(cell, out, progress=progress)
     return conclude(cell, out, ending, phase=say)
+
+
+def open_folder(scenario: Scenario, out: Path) -> Cell:
+    """Judge a scenario, then make its run folder: what is refused leaves an earlier run as it was.
+
+    Raises:
+        InputError: the scenario cannot be run, or the folder cannot be written to.
+    """
+    with tempfile.TemporaryDirectory() as made:
+        cell = prepare(scenario, Path(made))
+        begin(out)
+        shutil.copytree(made, out / SCENE_FOLDER)
+    return cell
 
 
 def begin(out: Path) -> None:
@@ -126,10 +140,7 @@ def _refuse_live(scenario: Scenario) -> None:
 
 def prepare(scenario: Scenario, folder: Path) -> Cell:
     """Compose the scene into `folder`, compile it and refuse what cannot be run."""
-    cell = scene.build(scenario, folder)
-    scene.check_start(cell)
-    feasible.check(cell)
-    return cell
+    return admit(scenario, folder).cell
 
 
 def simulate(
@@ -273,7 +284,7 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         and (stop in ("off", "none") or CHECK_STOP in verdicts)
         and all(v["held"] for v in verdicts.values())
     )
-    return {
+    summary = {
         "scenario": cell.scenario.name,
         "scenario_sha256": cell.scenario.digest(),
         "held": held,
@@ -285,6 +296,7 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         "notes": list(cell.notes),
         "versions": versions(),
     }
+    return summary | {"why": why(trace, summary)}
 
 
 def _stop_of_check(ending: Ending) -> str:

@@ -63,6 +63,26 @@ def test_refused_input_has_status_2_and_one_message(
         assert name in err
 
 
+def test_the_version_is_told(capsys):
+    status, out, _ = call(capsys, "--version")
+    assert status == 0
+    assert out.strip() == f"workcell {workcell.__version__}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("chek", "handover"), "no such command: 'chek'; did you mean 'check'?"),
+        (("check", "handovr"), "did you mean 'handover'?"),
+        (("zzz",), "no such command: 'zzz'; allowed: "),
+    ],
+)
+def test_a_typing_error_is_answered_with_the_nearest_name(capsys, arguments, told):
+    status, _, err = call(capsys, *arguments)
+    assert status == 2
+    assert told in err
+
+
 def test_a_path_is_as_good_as_a_name_and_output_lands_where_it_is_called(
     capsys, monkeypatch, tmp_path
 ):
@@ -73,7 +93,9 @@ def test_a_path_is_as_good_as_a_name_and_output_lands_where_it_is_called(
     assert status == 0, err
     assert (tmp_path / "runs" / "duet" / "summary.json").is_file()
     assert "duet: all expectations held" in out
-    assert err == "", "no progress where nobody looks"
+    # Compiling, once after an installation, is said; progress is not.
+    said = [line for line in err.splitlines() if not line.startswith("compiling")]
+    assert said == [], "no progress where nobody looks"
     status, *_ = call(capsys, "run", "elsewhere/duet.toml", "--out", "here", *short)
     assert status == 0
     assert (tmp_path / "here" / "trace.parquet").is_file()

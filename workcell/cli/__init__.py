@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
+import workcell
 from workcell.cli import (
     arms,
     films,
@@ -27,6 +28,8 @@ from workcell.cli import (
     studies,
 )
 from workcell.cli.boundary import guarded
+from workcell.cli.terminal import OK, stdout
+from workcell.errors import InputError, did_you_mean, shown
 
 COMMANDS: dict[str, Callable[..., int]] = {
     "list": scenarios.list_,
@@ -59,10 +62,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             # A path need not be text; what cannot be written in the terminal's encoding becomes an escape.
             stream.reconfigure(errors="backslashreplace")
-    return guarded(
-        lambda: tyro.extras.subcommand_cli_from_dict(
-            COMMANDS | OLD_NAMES, prog="workcell", args=arguments, description=__doc__
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return guarded(lambda: _dispatch(given))
+
+
+def _dispatch(given: list[str]) -> int:
+    """Find the command and call it."""
+    commands = COMMANDS | OLD_NAMES
+    if given == ["--version"]:
+        stdout.print(f"workcell {workcell.__version__}")
+        return OK
+    if given and given[0] not in (*commands, "--help", "-h"):
+        near = did_you_mean(given[0], COMMANDS)
+        raise InputError(
+            f"no such command: {shown(given[0])}{near or '; allowed: ' + ', '.join(COMMANDS)}"
         )
+    return tyro.extras.subcommand_cli_from_dict(
+        commands, prog="workcell", args=given, description=__doc__
     )
 
 

@@ -27,18 +27,16 @@ def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
     """Check a scenario, or an arm file (.xml, .urdf), without running it: the file, the cell, the start, reach, room to brake, and the final check's geometry."""
     if scenario.endswith((".xml", ".urdf")):
         return check_arm(Path(scenario))
-    from workcell import run as runner
-    from workcell.guard.check_setup import left_out, try_checker
+    from workcell.admission import admit
+    from workcell.guard.check_setup import left_out
     from workcell.guard.sizing import late_stops
-    from workcell.scene.compose import SCENE_FILE
 
     loaded = scenario_file.load(scenario, set)
     with tempfile.TemporaryDirectory() as folder:
-        cell = runner.prepare(loaded, Path(folder))
-        checked, not_checked = "off", []
-        if loaded.check.enabled:
-            checker = try_checker(cell, Path(folder) / SCENE_FILE)
-            checked, not_checked = f"{checker.table.count} pairs of pieces", left_out(checker)
+        admitted = admit(loaded, Path(folder))
+    cell, checker = admitted.cell, admitted.checker
+    checked = "off" if checker is None else f"{checker.table.count} pairs of pieces"
+    not_checked = [] if checker is None else left_out(checker)
     stdout.print(
         f"{loaded.name}: {len(cell.arms)} arms, {len(cell.pairs)} watched pairs, {len(cell.pairs.omitted)} left out for a reason, final check {checked}, {loaded.ticks} ticks: can be run"
     )

@@ -33,11 +33,8 @@ def report(summary: dict, folder: Path) -> None:
         )
     if summary["expectations"]:
         stdout.print(table)
-    halt = summary["final_check"].get("halt")
-    if halt:
-        stderr.print(f"stopped by the final check, {halt['state']}: {halt['reason']}")
-    if summary["metrics"]["fault"]:
-        stderr.print(f"stopped: {summary['metrics']['fault']}")
+    for sentence in summary.get("why", ()):
+        stderr.print(sentence)
     stdout.print(
         f"{summary['scenario']}: {'all expectations held' if summary['held'] else 'NOT as expected'}; {folder}"
     )

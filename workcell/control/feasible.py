@@ -33,6 +33,8 @@ REACHED_RAD = 1e-2
 LAG_M = 0.02
 """A path's speed is one that can be followed while the tool stays this near: farther away the controller itself counts
 an arm as off its path (REJOIN_M)."""
+LONGEST_FOLLOWED_S = 300.0
+"""So much of an operator's path is followed before a run; a few seconds of work."""
 TASK_DIRECTIONS = 6
 """Three of position and three of orientation."""
 _NUMERALS = ("no", "one", "two", "three", "four", "five")
@@ -94,10 +96,11 @@ def _out_of_reach(
     task = ToolTask(addresses.tool_site_name, gain_per_s=1.0, dt_s=1.0)
     pose = belief.get_transform_frame_to_world(addresses.tool_site_name, "site")
     position, wxyz = pose.translation(), pose.rotation().wxyz
-    for key, waypoints in _waypoint_lists(arm):
+    for key, waypoints, free_rotation in _waypoint_lists(arm):
+        directions = 5 if free_rotation else TASK_DIRECTIONS
         geometry = _curve(waypoints, tuple(position), tuple(wxyz))
         for s_m in np.linspace(0.0, geometry.length_m, 2 + int(geometry.length_m / _STEP_M)):
-            error = _move_to(belief, task, addresses, standing(*geometry.pose(s_m)))
+            error = _move_to(belief, task, addresses, standing(*geometry.pose(s_m)), directions)
             if np.linalg.norm(error[:3]) > REACHED_M or np.linalg.norm(error[3:]) > REACHED_RAD:
                 at = ", ".join(f"{x:.3f}" for x in geometry.pose(s_m)[0])
                 yield (
@@ -120,14 +123,17 @@ def _too_few_joints(addresses: ArmAddresses) -> str:
     )
 
 
-def _waypoint_lists(arm: scenario.Arm) -> Iterator[tuple[str, tuple[scenario.Waypoint, ...]]]:
+def _waypoint_lists(
+    arm: scenario.Arm,
+) -> Iterator[tuple[str, tuple[scenario.Waypoint, ...], bool]]:
+    """Key and waypoints of every path that is known beforehand, and whether the tool may turn about its axis."""
     if isinstance(arm.operator, scenario.Waypoints):
-        yield "operator.waypoints", arm.operator.waypoints
+        yield "operator.waypoints", arm.operator.waypoints, False
     elif isinstance(arm.operator, scenario.Human):
-        yield "operator.sites", arm.operator.sites
+        yield "operator.sites", arm.operator.sites, False
     for index, job in enumerate(arm.job):
         if isinstance(job, scenario.Move):
-            yield f"job.{index}.waypoints", job.waypoints
+            yield f"job.{index}.waypoints", job.waypoints, job.free_rotation
 
 
 def _move_to(
@@ -135,22 +141,34 @@ def _move_to(
     task: ToolTask,
     addresses: ArmAddresses,
     pose: Target,
+    directions: int = TASK_DIRECTIONS,
 ) -> NDArray[np.float64]:
-    """Newton steps towards a pose, clipped to the joint ranges; returns the remaining tool error (6,)."""
+    """Newton steps towards a pose, clipped to the joint ranges.
+
+    Args:
+        belief: The state; moved.
+        task: The tool's task.
+        addresses: The arm.
+        pose: Where the tool is wanted.
+        directions: Of the task that count: all six, or five without the rotation about the tool's axis.
+
+    Returns:
+        (directions,) the remaining tool error: m, then rad.
+    """
     task.follow(pose)
-    error = task.compute_error(belief)
+    error = task.compute_error(belief)[:directions]
     for _ in range(_ITERATIONS):
         if np.abs(error).max() < REACHED_M / 10:
             break
         step = np.linalg.lstsq(
-            task.compute_jacobian(belief)[:, addresses.dofs], -error, rcond=1e-3
+            task.compute_jacobian(belief)[:directions, addresses.dofs], -error, rcond=1e-3
         )[0]
         q = belief.data.qpos.copy()
         q[addresses.qpos] = np.clip(
             q[addresses.qpos] + np.clip(step, -0.2, 0.2), addresses.lower_rad, addresses.upper_rad
         )
         belief.update(q)
-        error = task.compute_error(belief)
+        error = task.compute_error(belief)[:directions]
     return error
 
 
@@ -232,7 +250,10 @@ def largest_lag(
     once = operator.model_copy(update={"start_s": 0.0, "repeat": min(operator.repeat, 2)})
     driver = make_operator(once, *start)
     velocity, worst = np.zeros(n), Lag(0.0, start[0])
-    for k in range(round(_duration_s(once, *start) / step_s) + 1):
+    followed_s = min(
+        _duration_s(once, *start), cell.scenario.simulation.duration_s, LONGEST_FOLLOWED_S
+    )
+    for k in range(round(followed_s / step_s) + 1):
         target = driver.setpoint(k * step_s).target
         tool = belief.data.site_xpos[addresses.tool_site]
         error_m = float(np.linalg.norm(tool - target.position_m))

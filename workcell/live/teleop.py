@@ -127,8 +127,7 @@ def _open_ended(scenario: Scenario) -> Scenario:
 
 def _prepare(scenario: Scenario, folder: Path) -> Cell:
     """A run folder that is begun, and the cell of its run."""
-    runner.begin(folder)
-    cell = runner.prepare(scenario, folder / runner.SCENE_FOLDER)
+    cell = runner.open_folder(scenario, folder)
     (folder / runner.SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     return cell
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from workcell.errors import did_you_mean
-from workcell.scenario.jobs import Exchange, Fetch, Meet, Present, Put
-from workcell.scenario.values import MOST_JOBS, MOST_TICKS
+from workcell.scenario.jobs import Exchange, Fetch, Meet, Move, Present, Put
+from workcell.scenario.operators import Human, Waypoints
+from workcell.scenario.values import LONGEST_PATH_M, MOST_JOBS, MOST_TICKS
 
 if TYPE_CHECKING:
     from workcell.scenario.schema import Arm, Scenario
@@ -26,7 +29,7 @@ def fits_together(scenario: Scenario) -> list[str]:
         Every fault, naming table, key, value and what is allowed; later groups are judged only where the
         earlier ones are sound.
     """
-    faults = [*_names(scenario), *_amounts(scenario)]
+    faults = [*_names(scenario), *_amounts(scenario), *_lengths(scenario)]
     faults = faults or list(_references(scenario))
     return faults or list(_hands(scenario))
 
@@ -71,6 +74,29 @@ def _amounts(scenario: Scenario) -> Iterator[str]:
                 f"arm.{arm.name}.job_repeat = {arm.job_repeat}: makes {len(arm.job) * arm.job_repeat:,} jobs; "
                 f"allowed is {MOST_JOBS:,}"
             )
+
+
+def _lengths(scenario: Scenario) -> Iterator[str]:
+    """Paths so long that following them before the run would take minutes."""
+    for arm in scenario.arm:
+        lists = [
+            (f"job.{k}.waypoints", job.waypoints)
+            for k, job in enumerate(arm.job)
+            if isinstance(job, Move)
+        ]
+        if isinstance(arm.operator, Waypoints):
+            lists.append(("operator.waypoints", arm.operator.waypoints))
+        if isinstance(arm.operator, Human):
+            lists.append(("operator.sites", arm.operator.sites))
+        whole_m = 0.0
+        for key, waypoints in lists:
+            places = [waypoint.position_m for waypoint in waypoints]
+            whole_m += sum(math.dist(a, b) for a, b in pairwise(places))
+            if whole_m > LONGEST_PATH_M:
+                yield (
+                    f"arm.{arm.name}.{key}: makes {whole_m:.0f} m of waypoints for this arm; allowed is {LONGEST_PATH_M:g} m"
+                )
+                break
 
 
 def _references(scenario: Scenario) -> Iterator[str]:

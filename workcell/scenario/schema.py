@@ -13,7 +13,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import tomli_w
-from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Tag,
+    model_validator,
+)
 
 from workcell.scenario.checks import fits_together
 from workcell.scenario.jobs import Job
@@ -228,7 +236,7 @@ class View(Table):
 class Sabotage(Table):
     """Faults put into the controller on purpose, so that tests can see the final check stop it."""
 
-    factor_multiplier: Positive = 1.0
+    factor_multiplier: Annotated[float, Field(gt=0, le=1e12, allow_inf_nan=False)] = 1.0
 
 
 class Variation(Table):
@@ -267,9 +275,22 @@ class Variation(Table):
         return self
 
 
+FORMAT = 1
+"""Version of the tables; raised when a key changes its meaning, so that an older program does not misread it."""
+
+
+def _readable(version: int) -> int:
+    if version > FORMAT:
+        raise ValueError(
+            f"this program reads formats up to {FORMAT}; the file is for a newer one: update workcell"
+        )
+    return version
+
+
 class Scenario(Table):
     """A whole scenario file, resolved: every default is filled in."""
 
+    format: Annotated[int, Field(ge=1), AfterValidator(_readable)] = Field(FORMAT, exclude=True)
     name: Name
     description: Description = ""
     simulation: Simulation = Simulation()
@@ -306,7 +327,8 @@ class Scenario(Table):
 
     def to_toml(self) -> str:
         """The resolved scenario as TOML; reading it back gives the same content and digest."""
-        return tomli_w.dumps(_without_none(self.model_dump(mode="json")))
+        content = {"format": FORMAT, **self.model_dump(mode="json")}
+        return tomli_w.dumps(_without_none(content))
 
     def digest(self) -> str:
         """SHA-256 over the resolved content that a run depends on, independent of layout and comments of the file."""

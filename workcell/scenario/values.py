@@ -37,6 +37,8 @@ MOST_ENTRIES = 1000
 """Of `change`, `expect`, `vary`, and of a list of choices."""
 MOST_WAYPOINTS = 500
 """Of one list: following them before the run takes a few seconds."""
+LONGEST_PATH_M = 200.0
+"""All waypoints of an arm together: following them before the run takes a few seconds."""
 MOST_JOBS = 10_000
 """Of an arm, repetitions counted."""
 

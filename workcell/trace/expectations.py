@@ -1,7 +1,7 @@
 """Metrics of a run against the `[expect]` of its scenario.
 
-An expectation names a metric of the summary; one that names none is not held, so that a typing
-error cannot pass for a success. A metric without a value (a pair never closed, an arm never halted)
+An expectation names a metric of the summary; a name that no summary can have is refused before the run. A
+metric that this run happens not to have is not held. A metric without a value (a pair never closed, an arm never halted)
 holds no bound.
 """
 
@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypedDict
 
-from workcell.scenario import Bound
+from workcell.errors import did_you_mean
+from workcell.scenario import Bound, Scenario
+from workcell.trace import metric_names
 
 
 class Verdict(TypedDict):
@@ -19,6 +21,18 @@ class Verdict(TypedDict):
     wanted: str
     measured: str
     held: bool
+
+
+def unknown(scenario: Scenario) -> list[str]:
+    """A fault for every name in `[expect]` that no summary of this scenario can hold."""
+    arms = [arm.name for arm in scenario.arm]
+    known = list(metric_names.names(arms))
+    return [
+        f"expect.{name}: is not a metric of this cell (docs/metrics.md lists them)"
+        f"{did_you_mean(name, known)}"
+        for name in scenario.expect
+        if not metric_names.is_metric(name, arms)
+    ]
 
 
 def judge(metrics: Mapping[str, Any], expected: Mapping[str, Bound]) -> dict[str, Verdict]:
