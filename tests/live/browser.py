@@ -40,7 +40,7 @@ needs_browser = pytest.mark.skipif(
     bool(MISSING) and os.environ.get("WORKCELL_CI") != "1",
     reason=f"needs a browser and something to drive it: {', '.join(MISSING)} not installed",
 )
-PATIENCE_MS = 120_000
+PATIENCE_MS = 240_000
 """A loaded machine without a GPU takes its time to draw a page."""
 WIDTH, HEIGHT = 1000, 640
 _SEEN_KEYS = "window.seen = {}; for (const kind of ['keydown', 'keyup']) window.addEventListener(kind, () => { window.seen[kind] ??= performance.now(); }, true);"
@@ -173,7 +173,7 @@ def pixel(
     return width / 2.0 + scale * float(way @ right), height / 2.0 - scale * float(way @ up)
 
 
-def drag(page: Page, start_px, end_px, *, steps: int = 12) -> None:
+def drag(page: Page, start_px, end_px, *, steps: int = 6) -> None:
     """Drag with the left button, as slowly as the picture follows."""
     page.mouse.move(*start_px)
     time.sleep(0.6)  # a frame in which what is under the mouse is found

@@ -110,15 +110,14 @@ def handover(tmp_path_factory):
         phase(page, "running")
         there = here + 0.2 * sign * axis
         grip = there + 0.75 * GIZMO_M * axis
-        drag(page, pixel(view, grip), pixel(view, grip + 2.5 * sign * axis), steps=20)
+        drag(page, pixel(view, grip), pixel(view, grip + 2.5 * sign * axis), steps=8)
         facts["red"] = until(
             lambda: "cannot reach farther" in page.inner_text("#wc-arms [data-arm=surgeon]"), 60.0
         )
-        page.mouse.up()
-        time.sleep(4.0)
         page.screenshot(path=folder / "out_of_reach.png")
-        facts["told"] = page.inner_text("#wc-arms")
-        facts["shots"] = folder
+        page.mouse.up()
+        assert until(lambda: "cannot reach" not in page.inner_text("#wc-arms [data-arm=surgeon]"))
+        time.sleep(8.0)
         page.keyboard.press("Digit9")
         page.wait_for_selector("#wc-report")
         facts["report"] = page.inner_text("#wc-report")
@@ -135,13 +134,13 @@ def test_dragging_the_gizmo_twenty_centimetres_moves_the_tool_there(handover):
 
 
 @pytest.mark.long
-def test_a_drag_out_of_reach_is_red_and_settles_the_arm(handover):
+def test_a_drag_out_of_reach_is_red_and_once_let_go_the_arm_settles(handover):
     assert handover["red"]
-    assert "cannot reach farther" in handover["told"]
     trace = handover["trace"]
     joints = [k for k, name in enumerate(trace.metadata["joints"]) if name.startswith("surgeon/")]
     last = np.abs(trace["command_rad_s"][-25:, joints])
-    assert last.max() < 0.01
+    assert last.max() < 0.1  # let go of, the arm stands but for its self-motion beside the nurse
+    assert trace["surgeon.tool_speed_m_s"][-25:].max() < 0.01
 
 
 @pytest.mark.long

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import time
 from pathlib import Path
@@ -10,57 +9,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from websockets.sync.client import connect
 
 from tests import cells
+from tests.live.panel import Panel, until
 from workcell.live import page as module
 from workcell.live.camera import best_view, presets
 from workcell.live.controls import ACTIONS
 from workcell.live.desk import COUNTING, PAUSED, READY, RUNNING, Picture, Tool
 from workcell.live.devices import KEY_SPEED_M_S, DeviceInput
 from workcell.live.page import Page
-from workcell.live.server import HOST, PANEL
 from workcell.live.sitting import home, tool_pose
 from workcell.scenario import View
-
-
-class Panel:
-    """What the page's script would say."""
-
-    def __init__(self, page: Page):
-        port = page._server.port
-        line = http.client.HTTPConnection(HOST, port, timeout=10)
-        line.request("GET", f"/?token={page._server.token}")
-        cookie = line.getresponse().getheader("Set-Cookie").partition(";")[0]
-        line.close()
-        self.socket = connect(f"ws://{HOST}:{port}{PANEL}", additional_headers={"Cookie": cookie})
-        self.hello = self.hear("hello")
-
-    def hear(self, kind: str) -> dict:
-        until_s = time.monotonic() + 20.0
-        while time.monotonic() < until_s:
-            message = json.loads(self.socket.recv(timeout=20.0))
-            if message["kind"] == kind:
-                return message
-        raise TimeoutError(kind)
-
-    def say(self, kind: str, **more) -> None:
-        self.socket.send(json.dumps({"kind": kind, **more}))
-
-    def hold(self, *codes: str, **more) -> None:
-        self.say("alive", **({"held": codes, "slow": False, "clutch": False, "axes": None} | more))
-
-    def close(self) -> None:
-        self.socket.close()
-
-
-def until(condition, limit_s: float = 10.0) -> bool:
-    end_s = time.monotonic() + limit_s
-    while time.monotonic() < end_s:
-        if condition():
-            return True
-        time.sleep(0.01)
-    return condition()
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +53,8 @@ def test_one_line_says_the_address_and_one_how_to_come_from_elsewhere(page):
 
 
 def test_the_first_browser_drives_the_second_watches_and_takes_over_when_it_may(page):
-    driver = Panel(page)
-    watcher = Panel(page)
+    driver = Panel(page.address)
+    watcher = Panel(page.address)
     assert driver.hello["driver"]
     assert not watcher.hello["driver"]
     assert watcher.hello["taken"]
@@ -116,7 +75,7 @@ def test_the_first_browser_drives_the_second_watches_and_takes_over_when_it_may(
 
 def test_a_run_is_held_counted_down_paused_and_taken_up_again(page, monkeypatch):
     monkeypatch.setattr(module, "COUNT_S", 0.3)
-    panel = Panel(page)
+    panel = Panel(page.address)
     assert page.phase == READY
     panel.say("act", action="start")
     assert until(lambda: page.phase == COUNTING, 5.0)
@@ -126,12 +85,14 @@ def test_a_run_is_held_counted_down_paused_and_taken_up_again(page, monkeypatch)
     panel.say("act", action="start")
     assert until(lambda: page.phase == RUNNING)
     page.begin({"surgeon": page.start})
-    assert page.phase == READY  # after a reset
+    assert page.phase == RUNNING  # started before the run was there to begin
+    panel.say("act", action="reset")
+    assert until(lambda: page.phase == READY)
     panel.close()
 
 
 def test_a_held_key_moves_the_hand_at_the_stated_speed_and_a_silent_driver_stands(page):
-    panel = Panel(page)
+    panel = Panel(page.address)
     began_s = time.monotonic()
     while time.monotonic() < began_s + 0.8:
         panel.hold("PageUp")
@@ -150,7 +111,7 @@ def test_a_held_key_moves_the_hand_at_the_stated_speed_and_a_silent_driver_stand
 
 
 def test_a_stick_moves_and_nonsense_does_not(page):
-    panel = Panel(page)
+    panel = Panel(page.address)
     for axes in ([float("nan")] * 6, "x", [1, 2], [None] * 6, {"a": 1}):
         panel.socket.send(json.dumps({"kind": "alive", "held": axes, "axes": axes}))
         panel.say("arm", name=axes if isinstance(axes, str) else "nobody")
@@ -167,7 +128,7 @@ def test_a_stick_moves_and_nonsense_does_not(page):
 
 
 def test_an_open_clutch_keeps_the_hand_where_it_is(page):
-    panel = Panel(page)
+    panel = Panel(page.address)
     for _ in range(10):
         panel.hold("PageUp", clutch=True)
         time.sleep(0.02)
@@ -181,7 +142,7 @@ def test_an_open_clutch_keeps_the_hand_where_it_is(page):
 
 
 def test_every_action_is_on_the_page_with_its_key_and_does_something(page):
-    panel = Panel(page)
+    panel = Panel(page.address)
     written = dict(panel.hello["keys"])
     for name, (_, key, code, words) in ACTIONS.items():
         assert written[key] == words
@@ -204,7 +165,7 @@ def test_every_action_is_on_the_page_with_its_key_and_does_something(page):
 
 def test_without_any_browser_for_long_the_session_is_over(page, monkeypatch):
     assert page.is_open  # nobody has come yet
-    panel = Panel(page)
+    panel = Panel(page.address)
     panel.close()
     assert until(lambda: not page._browsers)
     assert page.is_open  # it may only be a reload

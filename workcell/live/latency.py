@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STILL_M_S = 1e-3
-"""A tool slower than this stands."""
-MOVING_M_S = 2e-3
-"""A tool faster than this has been set in motion; chosen above tremor and rounding, and reached by the first tick
-of a motion at half the operator's acceleration."""
+STILL_M_S = 5e-3
+"""A tool slower than this stands; chosen above what self-motion and servo lag leave of a standing tool."""
+MOVING_M_S = 8e-3
+"""A tool faster than this has been set in motion; at the operator's usual acceleration, 4 ms after its start."""
 GIVE_UP_S = 2.0
 """An input that has moved nothing by then has met a limit: it has no latency."""
 

@@ -6,7 +6,7 @@ no faster than a hand moves, and on a leash, so that a wish far away never pulls
     hand = the point nearest to the wish with |hand - tool| <= LEASH_M,  |Δhand| <= HAND_M_S dt
 
 and likewise in rotation. A wish that the tool has stopped short of is out of reach: once the person
-lets go of it, it comes back to the hand.
+lets go of it, it comes back to the tool.
 """
 
 from __future__ import annotations
@@ -87,7 +87,8 @@ class Marker:
         elif self._short_s > SETTLED_S:
             self.out_of_reach = True
             if not self.held and not self.clutched:
-                self.wish = self.hand
+                # Not to the hand: it is as far out of reach, and an arm does not settle there.
+                self.wish = tool
         return self.hand
 
 

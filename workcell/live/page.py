@@ -162,8 +162,8 @@ class Page:
                 held = self._markers[arm].held
                 self._markers[arm] = Marker(*pose)
                 self._markers[arm].held = held
-            self._phase, self._hands_s = READY, None
-            self._asked = DeviceInput()
+            # The phase stays: who has pressed Start while the cell was being prepared is not asked again.
+            self._hands_s = None
             self._curve.clear()
 
     def hands(self, tools: dict[str, Tool]) -> dict[str, Pose] | None:
@@ -301,6 +301,8 @@ class Page:
             self._follow(browser)
         elif isinstance(action, str):
             ask(self._asked, action)
+            if action == "reset":
+                self._phase = READY
 
     def _start_or_pause(self) -> None:
         phase = self.phase
