@@ -38,8 +38,19 @@ SINGULAR: dict[str, str] = {
 FILES_VARIABLE = "WORKCELL_PLUGINS"
 """Environment variable with the files given by `--plugin`, so that the processes of a study have them too."""
 
+_STRATEGIES = "workcell.control.strategies"
 BUILT_IN: dict[Kind, dict[str, str]] = {
-    "strategies": {"ttc": "workcell.control.ttc_strategy:TtcStrategy"},
+    "strategies": {
+        "ttc": f"{_STRATEGIES}.ttc:TtcStrategy",
+        "paper_scaling": f"{_STRATEGIES}.paper_scaling:PaperScaling",
+        "distance": f"{_STRATEGIES}.distance:Distance",
+        "ssm": f"{_STRATEGIES}.ssm:Ssm",
+        "velocity_damper": f"{_STRATEGIES}.velocity_damper:VelocityDamper",
+        "cbf": f"{_STRATEGIES}.cbf:Cbf",
+        "joint_qp": f"{_STRATEGIES}.joint_qp:JointQp",
+        "mink_limit": f"{_STRATEGIES}.mink_limit:MinkLimit",
+        "potential_field": f"{_STRATEGIES}.potential_field:PotentialField",
+    },
     "criteria": {},
     "operators": {},
     "devices": {},
@@ -78,6 +89,11 @@ def known(kind: Kind) -> dict[str, Plugin]:
             )
         found[plugin.name] = plugin
     return found
+
+
+def is_built_in(kind: Kind, name: str) -> bool:
+    """Whether a name is one of this package's own."""
+    return name in BUILT_IN[kind]
 
 
 def load(kind: Kind, name: str) -> Any:

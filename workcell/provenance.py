@@ -11,8 +11,10 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
-from workcell import __version__
+from workcell import __version__, plugins
 from workcell.control.laws import arithmetic
+from workcell.scenario import Scenario
+from workcell.scenario.plugged import strategies_used
 from workcell.scene import contacts
 from workcell.scene.cell import Cell
 from workcell.signals import Layout
@@ -46,7 +48,7 @@ def metadata(cell: Cell) -> dict[str, str]:
     return {
         "scenario": cell.scenario.digest(),
         "settings": cell.scenario.model_dump_json(),
-        "versions": json.dumps(versions()),
+        "versions": json.dumps(versions(cell.scenario)),
         "platform": _platform(),
         "seed": str(cell.scenario.simulation.seed),
         "model_sha256": cell.digest,
@@ -62,7 +64,7 @@ def origin(cell: Cell) -> dict[str, Any]:
     return {
         "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "platform": _platform(),
-        "versions": versions(),
+        "versions": versions(cell.scenario),
         "scenario_sha256": cell.scenario.digest(),
         "model_sha256": cell.digest,
         "seed": cell.scenario.simulation.seed,
@@ -73,7 +75,13 @@ def _platform() -> str:
     return f"{platform.system()} {platform.machine()} Python {platform.python_version()}"
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything that decides what a trace holds, and which arithmetic is used (docs/performance.md)."""
+def versions(scenario: Scenario | None = None) -> dict[str, str]:
+    """Versions of everything that decides what a trace holds, and which arithmetic is used (docs/performance.md).
+
+    Args:
+        scenario: Whose plug-ins are named, too.
+    """
     packages = {name: version(name) for name in PACKAGES}
-    return {"workcell": __version__} | packages | {"kernels": arithmetic()}
+    used = [] if scenario is None else sorted(strategies_used(scenario))
+    brought = plugins.versions(("strategies", name) for name in used)
+    return {"workcell": __version__} | packages | {"kernels": arithmetic()} | brought

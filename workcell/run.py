@@ -186,6 +186,7 @@ def simulate(
             fault = str(error)
         except KeyboardInterrupt:
             interrupted = True
+    fault = fault or "; ".join(controller.faults) or None
     if progress:
         progress(scenario.ticks, scenario.ticks)
     return Ending(controller.tick, fault, interrupted, None if check is None else check.account())
@@ -294,7 +295,7 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         "watched_pairs": len(cell.pairs),
         "omitted_pairs": [list(pair) for pair in cell.pairs.omitted],
         "notes": list(cell.notes),
-        "versions": versions(),
+        "versions": versions(cell.scenario),
     }
     return summary | {"why": why(trace, summary)}
 

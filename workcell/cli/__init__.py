@@ -20,6 +20,9 @@ from workcell.cli import (
     install,
     judge,
     live,
+    new,
+    plugged,
+    race,
     regression,
     reports,
     run,
@@ -45,10 +48,13 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "film": films.film,
     "sweep": studies.sweep,
     "falsify": studies.falsify,
+    "race": race.race,
     "compare": regression.compare,
     "reproduce": regression.reproduce,
     "bless": regression.bless,
     "salvage": regression.salvage,
+    "new": new.new,
+    "plugins": plugged.plugins_,
     "compile": install.compile_,
 }
 """Every command by the name that people type."""
@@ -63,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A path need not be text; what cannot be written in the terminal's encoding becomes an escape.
             stream.reconfigure(errors="backslashreplace")
     given = list(sys.argv[1:] if arguments is None else arguments)
-    return guarded(lambda: _dispatch(given))
+    return guarded(lambda: _dispatch(plugged.take_files(given)))
 
 
 def _dispatch(given: list[str]) -> int:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from workcell.control.ik import ArmIk
 from workcell.control.servo import ServoCommand
 from workcell.control.share import Share
-from workcell.control.strategy import Strategy
 from workcell.control.tick import ArmTick, Steering
 from workcell.motion.jobs import JobSequence
 from workcell.motion.operators import make_operator
@@ -45,16 +44,9 @@ class ControlledArm:
         cell: The cell.
         addresses: Of this arm.
         configuration: The controller's belief, at home.
-        strategy: What steers it.
     """
 
-    def __init__(
-        self,
-        cell: Cell,
-        addresses: ArmAddresses,
-        configuration: mink.Configuration,
-        strategy: Strategy,
-    ):
+    def __init__(self, cell: Cell, addresses: ArmAddresses, configuration: mink.Configuration):
         control, dt, n = cell.scenario.control, cell.period_s, len(addresses.dofs)
         settings = next(arm for arm in cell.scenario.arm if arm.name == addresses.name)
         self.addresses = addresses
@@ -64,7 +56,6 @@ class ControlledArm:
         self.columns = as_slice(addresses.dofs)
         """Where its joints are in a joint velocity of the whole cell."""
         self.configuration = configuration
-        self.strategy = strategy
         self.ik = ArmIk(
             addresses,
             nv=cell.model.nv,

@@ -4,7 +4,7 @@
     check        what the final check says                        guard/
     setpoints    jobs and operators -> tool targets               setpoints.py
     prediction   what each arm may be counted on to do            prediction.py
-    steering     support arms by priority, then priority arms     strategy.py, ttc_strategy.py
+    steering     support arms by priority, then priority arms     strategy.py, strategies/
     gate         every command passes here                        passage.py
     outcome      the row of the trace                             outcome.py
     servo        joint velocities -> actuator controls            servo.py
@@ -28,16 +28,14 @@ from workcell.control.passage import Passage
 from workcell.control.record import TickRecord
 from workcell.control.sensing import Sensing
 from workcell.control.setpoints import Setpoints
-from workcell.control.strategy import ArmView, Strategy
+from workcell.control.steering import Strategies, braking
+from workcell.control.strategy import ArmView
 from workcell.control.tick import ArmTick, Sensed, Steering
-from workcell.control.ttc_strategy import OperatorStrategy, TtcStrategy
-from workcell.guard.halt import brake
 from workcell.guard.supervisor import Supervisor
 from workcell.guard.verdict import Verdict
 from workcell.motion.jobs import JobSequence
 from workcell.motion.setpoint import Operator
 from workcell.scenario import Control
-from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
 
 
@@ -58,11 +56,12 @@ class Controller:
         self._sensing = Sensing(cell)
         self.grasps = self._sensing.grasps
         belief = self._sensing.belief
-        self._arms = [ControlledArm(cell, arm, belief, _strategy(cell, arm)) for arm in cell.arms]
+        self._arms = [ControlledArm(cell, arm, belief) for arm in cell.arms]
         support = [arm for arm in self._arms if arm.support]
         self._support = sorted(support, key=lambda arm: arm.addresses.priority)
         self._order = [*self._support, *(arm for arm in self._arms if not arm.support)]
         self._setpoints = Setpoints(cell, self._arms, self._sensing)
+        self._strategies = Strategies(cell, self._arms)
         self._passage = Passage(cell)
         pair_assignment.assign(cell, self.grasps, self._sensing.watched, self._arms)
         self._record: TickRecord | None = None
@@ -112,6 +111,11 @@ class Controller:
         """For every instrument the arm that is to hold it; another dict after every change."""
         return self.grasps.holders
 
+    @property
+    def faults(self) -> list[str]:
+        """What is wrong with strategies that have lost their turn; empty while all of them work."""
+        return self._strategies.faults
+
     # ---------------------------------------------------------------- a tick
 
     def control(
@@ -157,8 +161,13 @@ class Controller:
         for arm in self._arms:
             prediction.predict(self._sensing.watched, arm, setpoints[arm.name])
         ticks: dict[str, ArmTick] = {}
+        views = {
+            arm.name: ArmView(arm, sensed, seen[arm.name], setpoints[arm.name])
+            for arm in self._order
+        }
+        self._strategies.begin(views, self._sensing.watched)
         for arm in self._order:
-            view = ArmView(arm, sensed, seen[arm.name], setpoints[arm.name])
+            view = views[arm.name]
             steering = self._steer(arm, view)
             command = self._passage.let_through(arm, view, steering)
             prediction.settle(self._sensing.watched, arm, command.velocity_rad_s)
@@ -201,22 +210,10 @@ class Controller:
     def _steer(self, arm: ControlledArm, view: ArmView) -> Steering:
         """The strategy's answer; after the final check's halt, braking along the last motion as hard as the joints can."""
         if self._is_stopped(arm):
-            limit = arm.addresses.acceleration_limit_rad_s2
-            velocity = brake(arm.memory.command_rad_s, limit, self.cell.period_s)
-            return arm.memory.answer._replace(
-                velocity_rad_s=velocity,
-                nominal_rad_s=velocity,
-                clock_rate=0.0,
-                scale=0.0,
-                mode="halt",
-                reason="check",
-                limiting_pair=None,
-                ik_status="not_solved",
-                attempt="",
-            )
+            return braking(view, "check")
         if arm.support:
             arm.share.meets(pair_assignment.meeting_pairs(self.cell, self.grasps, arm))
-        return arm.strategy.steer(view)
+        return self._strategies.steer(arm, view)
 
     def _write(self, data: mujoco.MjData) -> None:
         """Servo stage: the commands as the actuators' controls."""
@@ -231,15 +228,3 @@ class Controller:
         row = record.arms[arm]
         row = row._replace(reason=row.reason or reason)
         self._record = record._replace(arms=record.arms | {arm: row})
-
-
-def _strategy(cell: Cell, arm: ArmAddresses) -> Strategy:
-    """What steers an arm."""
-    if not arm.support:
-        return OperatorStrategy()
-    scenario = cell.scenario
-    return TtcStrategy(
-        scenario.control,
-        period_s=cell.period_s,
-        factor_multiplier=scenario.sabotage.factor_multiplier,
-    )

@@ -129,7 +129,8 @@ class Setpoints:
         around = self._around(arm, seen)
         tool = seen[arm.name].tool_position_m
         off_path = math.dist(tool.tolist(), memory.target.position_m.tolist())
-        waits = off_path > REJOIN_M and answer.clock_rate > 0.0 and not jobs.retreats
+        allowed = REJOIN_M if answer.off_path_m is None else answer.off_path_m
+        waits = off_path > allowed and answer.clock_rate > 0.0 and not jobs.retreats
         rate = 0.0 if waits or answer.path == "pause" else answer.clock_rate
         jobs.advance(self._cell.period_s, rate, around)
         if sensed.settings.entry:

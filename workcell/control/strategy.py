@@ -8,9 +8,10 @@ what those before it were commanded.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import mink
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,12 +30,52 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+class StrategySetup(NamedTuple):
+    """What a strategy is made from: its class is called with this alone."""
+
+    settings: Control
+    """Parameters at the start."""
+    period_s: float
+    """Control period."""
+    limits: ArmAddresses
+    """Addresses and joint limits of the arm; of the first arm for a strategy of the whole cell."""
+    options: Any
+    """Its own options, an instance of its attribute `Options`; None where the scenario gives none."""
+    model: mujoco.MjModel
+    """The cell's model; not to be written to."""
+    pair_geoms: NDArray[np.intp]
+    """(P, 2) geom ids of the watched pairs."""
+    factor_multiplier: float = 1.0
+    """Fault put in on purpose into the built-in strategy, for tests of the final check."""
+
+
 class Strategy(Protocol):
     """What steers an arm. One object an arm, so that it may remember what it likes."""
 
     def steer(self, view: ArmView) -> Steering:
         """Answer for this tick."""
         ...
+
+
+class CellStrategy(Protocol):
+    """What steers all arms of a cell at once, priority arms included."""
+
+    def steer_all(self, view: CellView) -> dict[str, Steering]:
+        """Answer for every arm, by its name."""
+        ...
+
+
+class CellView(NamedTuple):
+    """A whole cell in one tick, for reading."""
+
+    arms: dict[str, ArmView]
+    """By name, in the order in which they would be steered one by one."""
+    jacobian: Array
+    """G = dd/dq (P, nv) of all watched pairs."""
+    distance_m: Array
+    """(P,)"""
+    inactive: NDArray[np.bool_]
+    """(P,) pairs that do not count now: an instrument against the hand that holds it."""
 
 
 class ArmView:

@@ -119,6 +119,8 @@ class Steering(NamedTuple):
     """Whether the rotation about the tool's axis is to be left free next."""
     another_approach: bool = False
     """Whether another approach side is asked for."""
+    off_path_m: float | None = None
+    """How far the tool may be off its path with the path's clock going on; None for `setpoints.REJOIN_M`."""
 
 
 class Command(NamedTuple):

@@ -42,7 +42,7 @@ def _names(scenario: Scenario) -> Iterator[str]:
         doubled = [name for name, count in counts.items() if count > 1]
         if doubled:
             yield f"{table} names must be unique, {', '.join(doubled)} occurs more than once"
-    owners = dict.fromkeys(SCENE_NAMES, "a part of every scene")
+    owners: dict[str, str] = dict.fromkeys(SCENE_NAMES, "a part of every scene")
     for instrument in scenario.instrument:
         for part in INSTRUMENT_PARTS:
             owners.setdefault(

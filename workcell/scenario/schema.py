@@ -26,6 +26,7 @@ from pydantic import (
 from workcell.scenario.checks import fits_together
 from workcell.scenario.jobs import Job
 from workcell.scenario.operators import Operator
+from workcell.scenario.plugged import strategy_faults
 from workcell.scenario.values import (
     MOST_ARMS,
     MOST_ENTRIES,
@@ -93,6 +94,7 @@ class Control(Table):
     catch_up_m_s: Speed = 0.15
     slow_down: Literal["ttc", "distance"] = "ttc"
     slow_distance_m: Length = 0.15
+    strategy: Label = "ttc"
     yields: bool = True
     resolves_impasse: bool = True
     entry: Entry | Literal[""] = ""
@@ -119,6 +121,7 @@ class Arm(Table):
     priority: Annotated[int, Field(ge=0, le=1000)] = 0
     velocity_limit_rad_s: tuple[Speed, ...] | None = None
     acceleration_limit_rad_s2: tuple[Acceleration, ...] | None = None
+    strategy: Label | None = None
     operator: Operator | None = None
     job: Annotated[tuple[Job, ...], Field(max_length=MOST_JOBS)] = ()
     job_repeat: Annotated[int, Field(ge=1, le=MOST_JOBS)] = 1
@@ -302,6 +305,7 @@ class Scenario(Table):
     obstacle: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_THINGS)] = ()
     instrument: Annotated[tuple[Instrument, ...], Field(max_length=MOST_THINGS)] = ()
     change: Annotated[tuple[Change, ...], Field(max_length=MOST_ENTRIES)] = ()
+    strategy: dict[Label, dict[str, Any]] = Field(default_factory=dict, max_length=MOST_ENTRIES)
     expect: dict[Label, Annotated[Bound, BeforeValidator(_as_bound)]] = Field(
         default_factory=dict, max_length=MOST_ENTRIES
     )
@@ -310,7 +314,7 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scenario:
-        faults = fits_together(self)
+        faults = fits_together(self) or strategy_faults(self)
         if faults:
             raise ValueError("\n".join(faults))
         return self

@@ -92,8 +92,12 @@ class Outcome:
     """Largest tool error of a priority arm, m."""
     tool_error_rad: float | None = None
     """The same in angle, rad."""
+    deviation_m: float | None = None
+    """Largest distance of a support arm's tool from its path, m."""
     jerk_rad_s3: float | None = None
     """Largest commanded joint jerk of a support arm, rad/s^3."""
+    jerk_rms_rad_s3: float | None = None
+    """Root mean square of it over its joints and the run, rad/s^3."""
     simulated_s: float = 0.0
     """Simulated time, s."""
     wall_s: float = 0.0
@@ -215,7 +219,9 @@ def _measure(
         short_reason=_reason(trace, support, verdict),
         tool_error_m=_largest(values, priority, "max_tool_error_m"),
         tool_error_rad=_largest(values, priority, "max_tool_error_rad"),
+        deviation_m=_largest(values, support, "max_tool_error_m"),
         jerk_rad_s3=_largest(values, support, "peak_joint_jerk_rad_s3"),
+        jerk_rms_rad_s3=_jerk_rms_rad_s3(trace, support, scenario.simulation.period_s),
         simulated_s=len(trace) * scenario.simulation.period_s,
     )
 
@@ -261,6 +267,15 @@ def _files(folder: Path) -> dict[str, bytes]:
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
+
+
+def _jerk_rms_rad_s3(trace: Trace, arms: list[str], period_s: float) -> float | None:
+    """Root mean square of the commands' second difference over all joints of some arms."""
+    if len(trace) < 3 or not arms:
+        return None
+    dofs = np.concatenate([np.array(trace.metadata["dofs"][arm], dtype=int) for arm in arms])
+    jerk = np.diff(trace["command_rad_s"][:, dofs], 2, axis=0) / period_s**2
+    return float(np.sqrt(np.mean(jerk**2)))
 
 
 def _largest(values: dict[str, metrics.Metric], arms: list[str], name: str) -> float | None:

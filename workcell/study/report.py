@@ -66,6 +66,8 @@ QUANTITIES = (
     Quantity("smallest_ttc_s", "smallest measured time to collision, s"),
     Quantity("smallest_ttc_command_own_s", "smallest commanded time to collision, s"),
     Quantity("tool_error_m", "largest tool error of a priority arm, mm", 1e3),
+    Quantity("deviation_m", "largest deviation of a support arm's tool, mm", 1e3),
+    Quantity("jerk_rms_rad_s3", "rms joint jerk of the support arms, rad/s³"),
     Quantity("jerk_rad_s3", "largest joint jerk of a support arm, rad/s³"),
 )
 

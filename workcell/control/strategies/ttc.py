@@ -15,9 +15,8 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.recovery import Recovery, RecoveryState
 from workcell.control.scaling import FactorGovernor
 from workcell.control.share import Allowance
-from workcell.control.strategy import ArmView
+from workcell.control.strategy import ArmView, StrategySetup
 from workcell.control.tick import Array, Steering
-from workcell.scenario import Control
 
 LEAVING_FACTOR = 2.0
 """An arm that could go this many times faster before any pair limited it is leaving: its factor need not rise slowly."""
@@ -29,18 +28,16 @@ class TtcStrategy:
     """Steers one support arm.
 
     Args:
-        control: The parameters at the start.
-        period_s: Control period.
-        factor_multiplier: Fault put in on purpose: the speed scale is multiplied by it and nothing
-            corrects that.
+        setup: What it is made from. `factor_multiplier` multiplies the speed scale, and nothing corrects that.
     """
 
-    def __init__(self, control: Control, *, period_s: float, factor_multiplier: float = 1.0):
+    def __init__(self, setup: StrategySetup):
+        control, period_s = setup.settings, setup.period_s
         self._recovery = Recovery(
             period_s=period_s, yields=control.yields, resolves=control.resolves_impasse
         )
         self._governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=period_s)
-        self._multiplier = factor_multiplier
+        self._multiplier = setup.factor_multiplier
 
     def steer(self, view: ArmView) -> Steering:
         """See `strategy.Strategy`."""

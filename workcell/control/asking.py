@@ -1,0 +1,103 @@
+"""Asking a strategy, and believing nothing it says.
+
+An answer that is missing, has the wrong shape, is not finite or comes too late ends the strategy's turn for the
+rest of the run: its arm brakes as hard as its joints can and stays, with the reason `strategy_fault`,
+and the run ends with the strategy's name in its summary.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from types import FrameType
+
+import numpy as np
+
+from workcell.control.outcome import MODES
+from workcell.control.tick import Steering
+from workcell.errors import ControlFault, WorkcellError
+
+TIME_LIMIT_S = 1.0
+"""How long a strategy may take for one tick. Chosen a hundred times above the slowest tick of the built-in
+ones, so that no machine is too slow for a strategy that works; only a strategy that hangs sees a clock."""
+
+
+class StrategyFault(WorkcellError):
+    """A strategy has not given an answer that can be used."""
+
+
+def ask(
+    name: str, arm: str, answer: Callable[[], Steering], *, n: int, pairs: int, timed: bool
+) -> Steering:
+    """A strategy's answer, checked.
+
+    Args:
+        name: Of the strategy, for the message.
+        arm: Whose.
+        answer: Calls the strategy.
+        n: Joints of the arm.
+        pairs: Watched pairs of the cell.
+        timed: Whether to interrupt a strategy that hangs; built-in ones do not.
+
+    Raises:
+        StrategyFault: The answer cannot be used; the message names strategy, arm and what is wrong.
+    """
+    try:
+        with _time_limit() if timed else nullcontext():
+            steering = answer()
+    except ControlFault:
+        raise  # the state itself is broken, which is not the strategy's fault
+    except Exception as error:
+        raise StrategyFault(
+            f"strategy {name!r} of arm {arm} raised {type(error).__name__}: {error}"
+        ) from error
+    wrong = _wrong(steering, n, pairs)
+    if wrong:
+        raise StrategyFault(f"strategy {name!r} of arm {arm} answered with {wrong}")
+    return steering
+
+
+def _wrong(steering: Steering, n: int, pairs: int) -> str:
+    """What is the matter with an answer; empty if nothing is."""
+    if not isinstance(steering, Steering):
+        return f"{type(steering).__name__}, must be a Steering"
+    for field in ("velocity_rad_s", "nominal_rad_s"):
+        value = getattr(steering, field)
+        if not isinstance(value, np.ndarray) or value.shape != (n,):
+            return f"{field} of shape {np.shape(value)}, must be ({n},)"
+        if not math.isfinite(float(np.sum(value * value))):
+            return f"{field} = {value.tolist()}, every entry must be finite"
+    for field in ("clock_rate", "scale"):
+        value = getattr(steering, field)
+        if not -1.0 <= value <= 1.0:
+            return f"{field} = {value}, must be in [-1, 1]"
+    if steering.mode not in MODES:
+        return f"mode = {steering.mode!r}, must be one of {', '.join(MODES)}"
+    pair = steering.limiting_pair
+    if pair is not None and not 0 <= pair < pairs:
+        return f"limiting_pair = {pair}, must be None or in [0, {pairs})"
+    return ""
+
+
+@contextmanager
+def _time_limit() -> Iterator[None]:
+    """Interrupt what takes longer than the limit; in the main thread of a POSIX system, elsewhere nothing is limited."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(
+        signal, "setitimer"
+    ):
+        yield
+        return
+
+    def late(_signal: int, _frame: FrameType | None) -> None:
+        raise TimeoutError(f"no answer within {TIME_LIMIT_S:g} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, TIME_LIMIT_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
