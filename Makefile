@@ -6,7 +6,7 @@ SCENARIO ?= handover
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-long fuzz hostile pictures bless lint type imports check bench lock wheel clean
+.PHONY: docs help install run test test-long fuzz hostile pictures bless lint type imports check bench lock wheel clean
 
 help:       ## say what there is
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
@@ -66,8 +66,11 @@ bench: install  ## timings, as ratios within one process
 
 RESOLVE := --universal --python-version 3.11 --generate-hashes --quiet --no-emit-index-url --no-emit-find-links
 lock: install  ## resolve both lock files anew
-	$(BIN)/uv pip compile pyproject.toml --group build --group dev --all-extras $(RESOLVE) --output-file requirements-dev.lock
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --group docs --all-extras $(RESOLVE) --output-file requirements-dev.lock
 	$(BIN)/uv pip compile pyproject.toml --group build $(RESOLVE) --constraint requirements-dev.lock --output-file requirements.lock
+
+docs: install  ## build the documentation site into .site/; a warning is an error
+	$(BIN)/mkdocs build --quiet
 
 wheel: install  ## build the wheel into dist/
 	$(BIN)/python -m hatchling build --target wheel
