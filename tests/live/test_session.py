@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -38,9 +37,15 @@ def test_the_nurse_waits_the_gauge_turns_red_and_leaving_the_page_leaves_whole_r
         panel.say("act", action="reset")
         assert until(lambda: panel.hear("state")["phase"] == "ready", 30.0)
         started(panel)
-        for _ in range(30):
+        low_m = panel.hear("state")["hands"]["surgeon"][2]
+
+        def is_risen():
             panel.hold("PageUp")
-            time.sleep(0.03)
+            state = panel.hear("state")
+            panel.say("seen", frame=state["frames"])
+            return state["time_s"] > 0.5 and state["hands"]["surgeon"][2] > low_m + 0.05
+
+        assert until(is_risen, 60.0)
         panel.close()
         assert run.end() == 0, run.said
     for folder in (run.folder, tmp_path / "run_2"):
@@ -52,8 +57,6 @@ def test_the_nurse_waits_the_gauge_turns_red_and_leaving_the_page_leaves_whole_r
         }
     moved = load(tmp_path / "run_2")["surgeon.target_position_m"]
     assert np.ptp(moved, axis=0)[2] > 0.02
-    assert summary["input_latency"]["count"] >= 1
-    assert 0.0 < summary["input_latency"]["median_s"] < 2.0
 
 
 def test_a_session_that_is_never_started_says_so(tmp_path):

@@ -83,6 +83,8 @@ class Page:
         self._asked = DeviceInput()
         self._hands_s: float | None = None
         self._phase, self._count_ends_s = READY, 0.0
+        self._begun = False
+        """Whether there is a run to be started; until then the count stays at one."""
         self._picture: Picture | None = None
         self._curve: deque[tuple[float, float | None, float]] = deque()
         self._followers: dict[int, np.ndarray] = {}
@@ -147,7 +149,8 @@ class Page:
     def phase(self) -> str:
         """See `workcell.live.desk`."""
         with self._guard:
-            if self._phase == COUNTING and time.monotonic() >= self._count_ends_s:
+            counted = self._phase == COUNTING and time.monotonic() >= self._count_ends_s
+            if counted and self._begun:
                 self._phase = RUNNING
             return self._phase
 
@@ -163,7 +166,7 @@ class Page:
                 self._markers[arm] = Marker(*pose)
                 self._markers[arm].held = held
             # The phase stays: who has pressed Start while the cell was being prepared is not asked again.
-            self._hands_s = None
+            self._hands_s, self._begun = None, True
             self._curve.clear()
 
     def hands(self, tools: dict[str, Tool]) -> dict[str, Pose] | None:
@@ -302,7 +305,7 @@ class Page:
         elif isinstance(action, str):
             ask(self._asked, action)
             if action == "reset":
-                self._phase = READY
+                self._phase, self._begun = READY, False
 
     def _start_or_pause(self) -> None:
         phase = self.phase
