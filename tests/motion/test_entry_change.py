@@ -9,7 +9,7 @@ from tests import cells
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.errors import InputError
-from workcell.live.devices import Keys
+from workcell.live.devices import WindowKeys
 from workcell.live.operator_file import REPLAY_FILE, write_replay
 from workcell.regression import replay
 from workcell.regression.compare import compare
@@ -63,7 +63,7 @@ def test_such_a_run_is_replayed_from_its_changes(run):
 
 
 def test_keys_name_the_side_and_the_last_one_counts():
-    keys = Keys()
+    keys = WindowKeys(held=lambda keys: set())
     assert keys.take(0.01).entry is None
     for key, side in ((LEFT_KEY, "left"), (RIGHT_KEY, "right"), (ABOVE_KEY, "above")):
         keys.press(key)

@@ -64,7 +64,12 @@ def test_what_is_varied_does_not_change_what_a_run_of_the_file_is(tmp_path: Path
     assert cells.load(tmp_path, {**cells.duet(), "vary": VARY}).digest() == plain.digest()
 
 
-@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.floats(0.0, 1.0, exclude_max=True))
+@given(
+    # A scenario refuses numbers so small that they have lost digits.
+    st.floats(-1e6, 1e6, allow_subnormal=False),
+    st.floats(1e-6, 1e6),
+    st.floats(0.0, 1.0, exclude_max=True),
+)
 def test_a_range_is_not_left(low: float, width: float, u: float):
     value = one({"min": low, "max": low + width}).value(np.array([u]))
     assert low <= value <= low + width

@@ -60,7 +60,9 @@ def _spreads(rows: list[Row], path: Path) -> Path:
     lines: dict[
         str, Line2D
     ] = {}  # a setting that has never done its jobs has no line in the first axes
-    for axes, quantity in zip(figure.subplots(2, 4).flat, QUANTITIES, strict=False):
+    for axes, quantity in zip(
+        figure.subplots(2, len(QUANTITIES) // 2 + 1).flat, QUANTITIES, strict=False
+    ):
         for k, (name, of_setting) in enumerate(settings.items()):
             shown = values(made(of_setting), quantity)
             shown = np.sort(shown[np.isfinite(shown)])
@@ -76,7 +78,8 @@ def _spreads(rows: list[Row], path: Path) -> Path:
         axes.set_xlabel(quantity.name, fontsize="small")
         axes.set_ylim(0, 1.02)
         axes.grid(alpha=0.25)
-    figure.axes[len(QUANTITIES)].set_axis_off()
+    for axes in figure.axes[len(QUANTITIES) :]:
+        axes.set_axis_off()
     named = {name: lines[name] for name in settings if name and name in lines}
     if named:
         figure.axes[len(QUANTITIES)].legend(

@@ -200,6 +200,7 @@ def test_the_rule_is_written_once():
         and "t_min" in ast.unparse(node.right)
     ]
     assert sorted(dividing) == [
+        ("mink_limit.py", "dt ** 2 / settings.t_min_s"),  # mink's gain, which divides no distance
         ("pair_rule.py", "(distance - standoff) / t_min"),
         ("speed_scale.py", "ttc / t_min"),  # the paper's factor (16), on second-order times
     ]

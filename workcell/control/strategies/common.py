@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import IkSolution
+from workcell.control.laws.pair_rule import smallest_rates
 from workcell.control.strategy import ArmView
 from workcell.control.tick import Array, Steering
 from workcell.guard.halt import brake
@@ -53,9 +54,9 @@ def barrier(view: ArmView, *, others: bool) -> Barrier:
     movable = rows.any(axis=1)
     rows, pairs = rows[movable], moved[movable]
     standoff = np.where(np.isin(pairs, view.meeting), 0.0, settings.d_min_m)
-    needed = (standoff - view.distance_m[pairs]) / settings.t_min_s
-    if others:
-        needed = needed - view.other_m_s[pairs]
+    other = view.other_m_s[pairs] if others else np.zeros(len(pairs))
+    needed = np.empty(len(pairs))
+    smallest_rates(view.distance_m[pairs] - standoff, other, settings.t_min_s, 0.0, needed)
     return Barrier(rows, needed, pairs)
 
 

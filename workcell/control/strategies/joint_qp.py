@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from workcell.control.laws.pair_rule import smallest_rates
 from workcell.control.strategies import common
 from workcell.control.strategies.program import least_squares
 from workcell.control.strategy import CellView, StrategySetup
@@ -47,7 +48,10 @@ class JointQp:
         standoff = np.full(len(rows), settings.d_min_m)
         standoff[meeting] = 0.0
         counts = rows.any(axis=1) & ~view.inactive
-        needed = (standoff - view.distance_m) / settings.t_min_s
+        needed = np.empty(len(rows))
+        smallest_rates(
+            view.distance_m - standoff, np.zeros(len(rows)), settings.t_min_s, 0.0, needed
+        )
         barrier = common.Barrier(rows[counts], needed[counts], np.flatnonzero(counts))
         n = len(dofs)
         H, c = np.eye(n), np.zeros(n)
