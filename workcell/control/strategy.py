@@ -1,9 +1,8 @@
 """The interface of a strategy: what it may know of an arm in a tick, and what it answers.
 
 A strategy steers one arm. Once a tick it is given an `ArmView` and answers with a `Steering`; what it
-has to remember is its own. Its velocity passes the gate before it becomes a command, whatever the
-strategy is. Support arms are steered first, by priority, then the priority arms, so that each knows
-what those before it were commanded.
+has to remember is its own. Support arms are steered first, by priority, then the priority arms, so that
+each knows what those before it were commanded.
 """
 
 from __future__ import annotations
