@@ -202,6 +202,8 @@ def test_the_rule_is_written_once():
     assert sorted(dividing) == [
         ("mink_limit.py", "dt ** 2 / settings.t_min_s"),  # mink's gain, which divides no distance
         ("pair_rule.py", "(distance - standoff) / t_min"),
+        # Equation (16) by itself, a peer of the rule.
+        ("paper_scaling.py", "1.0 / (kappa[worst] * settings.t_min_s)"),
         ("speed_scale.py", "ttc / t_min"),  # the paper's factor (16), on second-order times
     ]
 
