@@ -32,6 +32,7 @@ from workcell.trace.table import load
 pytestmark = needs_browser
 
 
+@pytest.mark.long  # counts real time, which a second worker on the same cores spoils
 def test_a_wrong_token_gets_nothing_and_a_held_key_moves_the_tool_at_its_speed(tmp_path):
     with served(duet_toml(tmp_path), tmp_path / "run") as run, browser() as opened:
         stranger = opened.new_page()

@@ -68,6 +68,7 @@ def nothing(check: FinalCheck) -> None:
     """The person leaves the checker alone."""
 
 
+@pytest.mark.long  # counts real time, which a second worker on the same cores spoils
 @pytest.mark.parametrize(
     ("act", "fault", "state"),
     [
