@@ -192,6 +192,7 @@ def test_a_session_ends_well_and_leaves_a_run_folder(live):
 
 
 @needs_display
+@pytest.mark.long  # a drag in real time, which a second worker on the same cores spoils
 def test_the_marker_is_grabbed_where_it_is_seen(live):
     assert np.linalg.norm(live.dragged_m - live.trace["surgeon.target_position_m"][0]) > 0.03
 
