@@ -133,7 +133,7 @@ CELL_SIGNALS: tuple[Signal, ...] = (
     _S("closing_cause", "", "scalar", "string", 0, 0, "command",
        "arm whose commanded motion closes the pair of ttc_command_s most; empty where nothing closes"),
     _S("mode", "", "scalar", "string", 0, 0, "mode",
-       "which rung acts: run, scale, self_motion, yield, hold, halt, stop"),
+       "which state acts: run, scale, self_motion, yield, hold, halt, stop"),
 )  # fmt: skip
 """Quantities of the whole cell."""
 
@@ -169,7 +169,7 @@ ARM_SIGNALS: tuple[Signal, ...] = (
        "why the command differs from what was wanted, empty if it does not"),
     _S("attempt", "", "scalar", "string", 0, 0, "mode",
        "what is tried against an impasse, empty if there is none"),
-    _S("mode", "", "scalar", "string", 0, 0, "mode", "which rung acts on this arm"),
+    _S("mode", "", "scalar", "string", 0, 0, "mode", "which state acts on this arm"),
 )  # fmt: skip
 """Quantities of each arm, logged as `<arm>.<name>`."""
 

@@ -18,6 +18,7 @@ from tests.bench.conftest import Stopwatch, drive, timed
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.control import controller, sensing
+from workcell.control.arm_constraints import ArmConstraints, Watched
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
 from workcell.control.laws import arithmetic
@@ -25,7 +26,6 @@ from workcell.control.laws import criteria as laws
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.control.setpoints import Setpoints
-from workcell.control.share import Share, Watched
 from workcell.scene import cell as scene
 from workcell.trace.writer import TraceWriter
 
@@ -35,11 +35,11 @@ STAGES = (
     ("distance, normal, G", PairGeometry, "measure"),
     ("rates, first-order times", Watched, "rates"),
     ("d̈", sensing, "second_order"),
-    ("criterion: its values", Share, "surroundings"),
+    ("criterion: its values", ArmConstraints, "surroundings"),
     ("inverse kinematics: target", ArmIk, "aim"),
-    ("inverse kinematics: criterion, rows, program", Share, "solve"),
-    ("scaling: factor and joints' reach", Share, "allow"),
-    ("scaling: is the command kept", Share, "keeps"),
+    ("inverse kinematics: criterion, rows, program", ArmConstraints, "solve"),
+    ("scaling: factor and joints' reach", ArmConstraints, "allow"),
+    ("scaling: is the command kept", ArmConstraints, "keeps"),
     ("jobs and path", Setpoints, "_advance"),
     ("final check: hand-over", Controller, "_ask"),
     ("record of the tick", controller, "outcome"),

@@ -158,20 +158,20 @@ def test_nobody_gives_way_for_what_its_own_base_comes_near_to(tmp_path):
     content = sweep(jobs=(INTO_THE_WAY, WAIT), home=(1.5, 0.3, -0.2), yields=True, duration_s=1.5)
     cell = cells.build(tmp_path, content)
     controller = Controller(cell)
-    share, settings = controller._arms[1].share, cell.scenario.control
-    owned, standing = share.pairs.owned, share.pairs.standing
+    constraints, settings = controller._arms[1].constraints, cell.scenario.control
+    owned, standing = constraints.pairs.owned, constraints.pairs.fixed_base
     names = [cell.pairs.names[k] for k in owned[standing]]
     assert ("surgeon/carriage_capsule", "nurse/base_capsule") in names
     data = mujoco.MjData(cell.model)
     cell.place_home(data)
     controller._sensing.measure(0, data.qpos.copy(), data.qvel.copy(), settings)
-    still = np.zeros(len(share.arm.dofs))
-    share.other_m_s[owned[standing]] = -10.0
-    allowance = share.allow(still, still, cell.period_s, settings)
+    still = np.zeros(len(constraints.arm.dofs))
+    constraints.other_m_s[owned[standing]] = -10.0
+    allowance = constraints.allow(still, still, cell.period_s, settings)
     assert allowance.bound.shortfall_m_s > 1.0, "it is still told, as the other arm's"
-    assert not allowance.pressed
-    share.other_m_s[owned[~standing]] = -10.0
-    assert share.allow(still, still, cell.period_s, settings).pressed
+    assert not allowance.must_yield
+    constraints.other_m_s[owned[~standing]] = -10.0
+    assert constraints.allow(still, still, cell.period_s, settings).must_yield
 
 
 def test_of_two_support_arms_the_one_that_comes_answers_near_a_base(tmp_path):
@@ -183,7 +183,8 @@ def test_of_two_support_arms_the_one_that_comes_answers_near_a_base(tmp_path):
     cell = cells.build(tmp_path, content)
     arms = {arm.name: arm for arm in Controller(cell)._arms}
     owned = {
-        name: {cell.pairs.names[k] for k in arm.share.pairs.owned} for name, arm in arms.items()
+        name: {cell.pairs.names[k] for k in arm.constraints.pairs.owned}
+        for name, arm in arms.items()
     }
     assert ("nurse/link3_capsule", "assistant/base_capsule") in owned["nurse"]
     assert ("nurse/base_capsule", "assistant/link3_capsule") in owned["assistant"]

@@ -1,4 +1,4 @@
-"""The program solved is the one mink's tasks and limits define, every limit bites, and no rung is out of reach."""
+"""The program solved is the one mink's tasks and limits define, every limit bites, and no fallback is out of reach."""
 
 from __future__ import annotations
 
@@ -262,7 +262,7 @@ def test_the_rows_of_the_time_to_collision_bite(bench):
 # ---------------------------------------------------------------- the ladder
 
 
-def test_each_rung_of_the_ladder_answers_where_the_one_above_cannot(bench):
+def test_each_fallback_answers_where_the_one_before_cannot(bench):
     bench.aim()
     assert bench.solve().status == OPTIMAL
     impossible = np.eye(7)[:1], np.array([1e3])
@@ -275,7 +275,7 @@ def test_each_rung_of_the_ladder_answers_where_the_one_above_cannot(bench):
     assert (soft.velocity_rad_s <= high).all()
 
 
-def test_a_solver_that_fails_on_every_rung_stops_the_arm(bench, monkeypatch):
+def test_a_solver_that_fails_on_every_fallback_stops_the_arm(bench, monkeypatch):
     bench.aim((0.1, 0.0, 0.0))
     monkeypatch.setattr("daqp.solve", lambda *a, **k: (np.ones(7), 0.0, -1, {}))
     solution = bench.solve()

@@ -11,9 +11,9 @@ import pytest
 
 from workcell.control import controller as module
 from workcell.control import pair_assignment
+from workcell.control.arm_constraints import ArmConstraints
 from workcell.control.controller import Controller
 from workcell.control.proximity import PairGeometry
-from workcell.control.share import Share
 from workcell.regression import reference as regression
 from workcell.regression import replay
 from workcell.regression.compare import compare
@@ -21,9 +21,11 @@ from workcell.regression.excerpt import excerpt
 
 
 def changed(monkeypatch, name, change):
-    """Change a method of an arm's share."""
-    law = getattr(Share, name)
-    monkeypatch.setattr(Share, name, lambda self, *a, law=law, **k: change(law, self, *a, **k))
+    """Change a method of an arm's constraints."""
+    law = getattr(ArmConstraints, name)
+    monkeypatch.setattr(
+        ArmConstraints, name, lambda self, *a, law=law, **k: change(law, self, *a, **k)
+    )
 
 
 def scaled_too_far(monkeypatch, duet):
@@ -48,7 +50,7 @@ def pair_dropped(monkeypatch, duet):
             dataclasses.replace(
                 pairs,
                 owned=pairs.owned[pairs.owned != dropped],
-                standing=pairs.standing[pairs.owned != dropped],
+                fixed_base=pairs.fixed_base[pairs.owned != dropped],
             )
             for pairs in assigned(*arguments)
         ]

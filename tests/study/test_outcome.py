@@ -24,7 +24,7 @@ def test_an_honest_arm_is_never_short_of_t_min():
     assert (row.short_ticks, row.short_reason) == (0, "")
 
 
-def test_an_arm_that_cheats_is_counted_and_says_in_which_rung_it_was():
+def test_an_arm_that_cheats_is_counted_and_says_in_which_state_it_was():
     row = made(sabotage={"factor_multiplier": 1.5})
     assert row.smallest_ttc_command_own_s is not None
     assert row.smallest_ttc_command_own_s < 0.9

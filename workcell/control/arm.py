@@ -8,9 +8,9 @@ import mink
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.control.arm_constraints import ArmConstraints
 from workcell.control.ik import ArmIk
 from workcell.control.servo import ServoCommand
-from workcell.control.share import Share
 from workcell.control.tick import ArmTick, Steering
 from workcell.motion.jobs import JobSequence
 from workcell.motion.operators import make_operator
@@ -64,7 +64,7 @@ class ControlledArm:
             criterion_gain=control.criterion_gain,
         )
         self.servo = ServoCommand(addresses, dt_s=dt)
-        self.share: Share
+        self.constraints: ArmConstraints
         """Its part of the watched pairs; another one whenever an instrument changes hands."""
         self.meeting_pairs: NDArray[np.intp] = np.array([], dtype=np.intp)
         """Pairs that its present job brings together."""

@@ -3,7 +3,7 @@
     sensing      state -> belief: distances, G, rates             sensing.py
     check        what the final check says                        guard/
     setpoints    jobs and operators -> tool targets               setpoints.py
-    prediction   what each arm may be counted on to do            prediction.py
+    prediction   what each arm is predicted to do            prediction.py
     steering     support arms by priority, then priority arms     strategy.py, strategies/
     gate         every command passes here                        passage.py
     outcome      the row of the trace                             outcome.py
@@ -212,7 +212,7 @@ class Controller:
         if self._is_stopped(arm):
             return braking(view, "check")
         if arm.support:
-            arm.share.meets(pair_assignment.meeting_pairs(self.cell, self.grasps, arm))
+            arm.constraints.meets(pair_assignment.meeting_pairs(self.cell, self.grasps, arm))
         return self._strategies.steer(arm, view)
 
     def _write(self, data: mujoco.MjData) -> None:

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
+from workcell.control.arm_constraints import ArmPairs, Watched
 from workcell.control.grasp import Grasps
-from workcell.control.share import ArmPairs, Watched
 from workcell.scene.cell import Cell
 
 
 def assign(cell: Cell, grasps: Grasps, watched: Watched, arms: Sequence[ControlledArm]) -> None:
     """Give each arm its part of the pairs, as the instruments are held now."""
-    watched.silent[...] = inactive_pairs(cell, grasps)
+    watched.inactive[...] = inactive_pairs(cell, grasps)
     for arm, pairs in zip(arms, assigned(cell, grasps), strict=True):
-        arm.share = watched.share(arm.ik, arm.configuration, pairs, support=arm.support)
+        arm.constraints = watched.constrain(arm.ik, arm.configuration, pairs, support=arm.support)
 
 
 def inactive_pairs(cell: Cell, grasps: Grasps) -> NDArray[np.bool_]:
@@ -50,7 +50,7 @@ def assigned(cell: Cell, grasps: Grasps) -> list[ArmPairs]:
                 moved=np.array(mine, dtype=np.intp),
                 averaged=np.array([k for k in mine if owners[k][0] != owners[k][1]], dtype=np.intp),
                 owned=np.array(owned, dtype=np.intp),
-                standing=np.array([not grasps.can_move(k, name) for k in owned], dtype=bool),
+                fixed_base=np.array([not grasps.can_move(k, name) for k in owned], dtype=bool),
             )
         )
     return dealt
@@ -88,5 +88,5 @@ def _brought_together(
             for mine, theirs in ((g, h), (h, g))
         )
 
-    found = [k for k in arm.share.pairs.moved if meets(*map(int, cell.pairs.geoms[k]))]
+    found = [k for k in arm.constraints.pairs.moved if meets(*map(int, cell.pairs.geoms[k]))]
     return np.array(found, dtype=np.intp)

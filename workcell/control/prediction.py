@@ -1,4 +1,4 @@
-"""What others may count on an arm to do: velocity hypotheses, from which rates are predicted."""
+"""What an arm is predicted to do: velocity hypotheses, from which others predict rates."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
-from workcell.control.share import Watched
+from workcell.control.arm_constraints import Watched
 from workcell.control.tick import ArmSetpoint
 
 
@@ -15,9 +15,9 @@ def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None
 
     A support arm is taken to go on as last commanded. A priority arm may do what its operator asks, go
     on as last commanded, or do what its joint limits let through of what is asked: it may be kept from
-    doing at once what it is asked. No self-motion that helps others is counted on.
+    doing at once what it is asked. Self-motion that helps others is not predicted.
     """
-    hypotheses, command = watched.ways_rad_s, arm.memory.command_rad_s
+    hypotheses, command = watched.hypotheses_rad_s, arm.memory.command_rad_s
     if arm.support:
         hypotheses[:, arm.columns] = command
         return
@@ -31,5 +31,5 @@ def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None
 
 
 def settle(watched: Watched, arm: ControlledArm, command_rad_s: NDArray[np.float64]) -> None:
-    """Once an arm has its command, (n,), the arms after it count on that."""
-    watched.ways_rad_s[:, arm.columns] = command_rad_s
+    """Once an arm has its command, (n,), the arms after it take that as its only hypothesis."""
+    watched.hypotheses_rad_s[:, arm.columns] = command_rad_s

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
+from workcell.control.arm_constraints import Watched
 from workcell.control.finite import require_finite
 from workcell.control.grasp import Grasps
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
-from workcell.control.share import Watched
 from workcell.control.tick import ArmSensed, Sensed
 from workcell.scenario import Control
 from workcell.scene.cell import Cell
@@ -102,7 +102,9 @@ class Sensing:
         site = addresses.tool_site
         mujoco.mj_objectVelocity(self._model, self.belief.data, _SITE, site, self._twist, 0)
         mujoco.mju_mat2Quat(wxyz, self._site_xmat[site])
-        artc, armd = arm.share.surroundings(approaching=settings.criterion == "artc_approaching")
+        artc, armd = arm.constraints.surroundings(
+            approaching=settings.criterion == "artc_approaching"
+        )
         elbow = addresses.elbow_site
         return ArmSensed(
             tool_position_m=self._site_xpos[site].copy(),

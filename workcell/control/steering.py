@@ -15,8 +15,8 @@ import numpy as np
 
 from workcell import plugins
 from workcell.control.arm import ControlledArm
+from workcell.control.arm_constraints import Watched
 from workcell.control.asking import StrategyFault, ask
-from workcell.control.share import Watched
 from workcell.control.strategies.ttc import OperatorStrategy
 from workcell.control.strategy import ArmView, CellView, StrategySetup
 from workcell.control.tick import Steering
@@ -74,7 +74,7 @@ class Strategies:
         """A tick begins: ask a strategy of the whole cell, if there is one."""
         if self._together is None:
             return
-        view = CellView(dict(views), watched.jacobian, watched.distance_m, watched.silent)
+        view = CellView(dict(views), watched.jacobian, watched.distance_m, watched.inactive)
         try:
             self._answers = self._together.steer_all(view)
         except Exception as error:

@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.control.arm_constraints import Allowance, Keeping
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import IkSolution
-from workcell.control.share import Allowance, Keeping
 from workcell.control.tick import ArmSensed, ArmSetpoint, Sensed, Steering
 from workcell.errors import ControlFault
 from workcell.scenario import Control
@@ -89,11 +89,11 @@ class ArmView:
         setpoint: What is asked of it.
     """
 
-    __slots__ = ("_arm", "_counted", "_share", "seen", "sensed", "setpoint", "settings")
+    __slots__ = ("_arm", "_constraints", "_counted", "seen", "sensed", "setpoint", "settings")
 
     def __init__(self, arm: ControlledArm, sensed: Sensed, seen: ArmSensed, setpoint: ArmSetpoint):
         self._arm = arm
-        self._share = arm.share
+        self._constraints = arm.constraints
         self._counted = False
         self.sensed = sensed
         self.seen = seen
@@ -177,12 +177,12 @@ class ArmView:
     @property
     def moved(self) -> NDArray[np.intp]:
         """(M,) pairs that its motion changes."""
-        return self._share.pairs.moved
+        return self._constraints.pairs.moved
 
     @property
     def owned(self) -> NDArray[np.intp]:
         """(R,) pairs that it answers for by slowing down."""
-        return self._share.pairs.owned
+        return self._constraints.pairs.owned
 
     @property
     def meeting(self) -> NDArray[np.intp]:
@@ -196,16 +196,16 @@ class ArmView:
 
     def rows(self, pairs: NDArray[np.intp]) -> Array:
         """(K, n) rows of G, the distances' derivatives by its joints, of some pairs."""
-        return self._share.rows(pairs)
+        return self._constraints.rows(pairs)
 
     @property
     def other_m_s(self) -> Array:
-        """(P,) the rates that others are predicted to cause, of the pairs it moves; the least favourable of their ways."""
+        """(P,) the rates that others are predicted to cause, of the pairs it moves; the least favourable of their velocity hypotheses."""
         if not self._counted:
             static = self._arm.support and self.settings.variant == "static"
-            self._share.count_on_others(static=static)
+            self._constraints.predict_others(static=static)
             self._counted = True
-        return self._share.other_m_s
+        return self._constraints.other_m_s
 
     # ---------------------------------------------------------------- helpers
 
@@ -219,7 +219,7 @@ class ArmView:
             ControlFault: a number is not finite.
         """
         try:
-            found = self._share.solve(
+            found = self._constraints.solve(
                 self.nominal_rad_s, self.task_rad_s, self.sensed.qvel, self.settings, push
             )
         except FloatingPointError as error:
@@ -239,23 +239,25 @@ class ArmView:
 
     def allowance(self, velocity_rad_s: Array) -> Allowance:
         """What the pairs and the joints leave of a velocity (n,)."""
-        return self._share.allow(velocity_rad_s, self.command_rad_s, self.period_s, self.settings)
+        return self._constraints.allow(
+            velocity_rad_s, self.command_rad_s, self.period_s, self.settings
+        )
 
     def is_free(self, velocity_rad_s: Array) -> bool:
         """Whether no pair would limit the arm at this velocity (n,)."""
-        return self._share.is_free(velocity_rad_s, self.settings)
+        return self._constraints.is_free(velocity_rad_s, self.settings)
 
     def keeps(self, velocity_rad_s: Array) -> bool:
         """Whether a velocity (n,) leaves every pair its time to collision; remembered if so."""
-        return self._share.keeps(velocity_rad_s, self.settings)
+        return self._constraints.keeps(velocity_rad_s, self.settings)
 
     def kept(self, velocity_rad_s: Array) -> Keeping:
         """How far a velocity (n,) keeps the times to collision, pair by pair."""
-        return self._share.kept(velocity_rad_s, self.settings)
+        return self._constraints.kept(velocity_rad_s, self.settings)
 
     def remember_kept(self) -> None:
         """Take what the others do now as what was last kept."""
-        self._share.remember()
+        self._constraints.remember()
 
     @property
     def criterion_gain(self) -> float:

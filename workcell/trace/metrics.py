@@ -180,7 +180,7 @@ def _held_at_t_min(trace: Trace, ticks: NDArray[np.bool_], prefix: str) -> dict[
 
 
 def _modes(trace: Trace, prefix: str) -> dict[str, Metric]:
-    """How long each rung acted and how often it changed."""
+    """How long each state acted and how often it changed."""
     mode = trace[f"{prefix}mode"]
     changes = int(np.sum(mode[1:] != mode[:-1]))
     duration_s = len(trace) * period_s(trace)

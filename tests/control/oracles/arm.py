@@ -1,32 +1,32 @@
-"""What an arm's share of the pairs answers, from the arrays of its `Watched` (theory: sections 5 and 6)."""
+"""What an arm's constraints answer, from the arrays of its `Watched` (theory: sections 5 and 6)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from tests.control.oracles import rule
-from workcell.control.share import Share
+from workcell.control.arm_constraints import ArmConstraints
 from workcell.scenario import Control
 
 
 class ArmOracle:
-    """The same questions as a share's, about the same pairs.
+    """The same questions as to an arm's constraints, about the same pairs.
 
     Args:
-        share: Whose pairs, meetings and past are looked at; none of its methods is called.
+        constraints: Whose pairs, meetings and past are looked at; none of its methods is called.
         settings: In force.
     """
 
-    def __init__(self, share: Share, settings: Control):
-        self.share, self.watched, self.settings = share, share.watched, settings
-        self.dofs, self.owned = share.arm.dofs, share.pairs.owned
+    def __init__(self, constraints: ArmConstraints, settings: Control):
+        self.constraints, self.watched, self.settings = constraints, constraints.watched, settings
+        self.dofs, self.owned = constraints.arm.dofs, constraints.pairs.owned
 
     def rows(self, pairs) -> np.ndarray:
         return self.watched.jacobian[pairs][:, self.dofs]
 
     def other(self, *, static: bool) -> np.ndarray:
         """(P,) the least favourable rate that the others may cause."""
-        velocities = self.watched.ways_rad_s[: 3 if self.share.support else 1].copy()
+        velocities = self.watched.hypotheses_rad_s[: 3 if self.constraints.support else 1].copy()
         velocities[:, self.dofs] = 0.0
         if static:
             return np.zeros(len(self.watched.distance_m))
@@ -34,9 +34,9 @@ class ArmOracle:
 
     def criterion(self, qvel, other) -> tuple[np.ndarray, np.ndarray]:
         """H and c, with the push from the stops."""
-        pairs, arm, ik = self.share.pairs.averaged, self.share.arm, self.share.ik
+        pairs, arm, ik = self.constraints.pairs.averaged, self.constraints.arm, self.constraints.ik
         rows = self.rows(pairs)
-        rate = rows @ qvel[self.dofs] if self.share.support else self.watched.rate_m_s[pairs]
+        rate = rows @ qvel[self.dofs] if self.constraints.support else self.watched.rate_m_s[pairs]
         name = self.settings.criterion
         H, c = rule.objective(name, self.watched.distance_m[pairs], rate, rows, other[pairs])
         if name != "none":
@@ -45,17 +45,17 @@ class ArmOracle:
         return H, c
 
     def self_motion_rows(self, task, other) -> tuple[np.ndarray, np.ndarray]:
-        moved, asked = self.share.pairs.moved, self.settings
+        moved, asked = self.constraints.pairs.moved, self.settings
         rows = self.rows(moved)
         gap = self.watched.distance_m[moved] - asked.standoff_m
         allowed = np.where(gap <= asked.d_min_m, 0.0, -gap / asked.t_min_s) - other[moved]
         allowed = np.minimum(allowed, rows @ task - rule.TASK_SLACK_M_S)
-        near = allowed > -np.abs(rows) @ self.share.arm.velocity_limit_rad_s
+        near = allowed > -np.abs(rows) @ self.constraints.arm.velocity_limit_rad_s
         return rows[near], allowed[near]
 
     def counted(self) -> tuple[np.ndarray, np.ndarray]:
         counted = self.watched.distance_m[self.owned]
-        reached = (counted <= self.settings.d_min_m) & ~self.share.meeting
+        reached = (counted <= self.settings.d_min_m) & ~self.constraints.meeting
         return np.where(reached, np.minimum(counted, 0.0), counted), reached
 
     def bound(self, own, other) -> tuple:
@@ -87,18 +87,18 @@ class ArmOracle:
         found = self.bound(own, other)
         if found[3] <= rule.MUST_YIELD_M_S:
             return found, False
-        spared = other + self.share.meeting * rule.MUST_YIELD_MEETING_M_S
-        spared = np.where(self.share.pairs.standing, np.maximum(spared, 0.0), spared)
+        spared = other + self.constraints.meeting * rule.MUST_YIELD_MEETING_M_S
+        spared = np.where(self.constraints.pairs.fixed_base, np.maximum(spared, 0.0), spared)
         return found, self.bound(own, spared)[3] > rule.MUST_YIELD_M_S
 
     def kept(self, command, other) -> dict[str, np.ndarray]:
-        """What a command does to the pairs; see `share.Keeping`."""
+        """What a command does to the pairs; see `arm_constraints.Keeping`."""
         counted, reached = self.counted()
         other = other[self.owned]
         allowance = (counted - self.settings.standoff_m) / self.settings.t_min_s + other
         slack = np.where(reached, rule.AT_REST_M_S, rule.TASK_SLACK_M_S)
         needed, opening = np.minimum(-allowance, 0.0), self.rows(self.owned) @ command
-        kept = self.share.kept_other_m_s
+        kept = self.constraints.kept_other_m_s
         before = 0.0 if kept is None else kept - other
         return {
             "allowance_m_s": allowance,

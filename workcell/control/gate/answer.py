@@ -14,7 +14,7 @@ The box and the stop are hard. The rates and the speed cap cannot always be foll
 acceleration: they are soft in the program, and what they miss is reported.
 
 Assumed: each joint is within `ahead` of its measured position when the command begins to act, and its stop
-stays between there and |x| T_r + x² / (2 a) farther. Other arms are counted on as `other_m_s` says; a stop is
+stays between there and |x| T_r + x² / (2 a) farther. Other arms are predicted as `other_m_s` says; a stop is
 verified against where they are now. Jerk is a bound on commands that pass, not on braking.
 """
 

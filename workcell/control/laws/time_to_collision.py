@@ -101,7 +101,7 @@ def time_of(kappa, pair):
 
 
 @law
-def rates(jacobian, distance, velocity, accel, order, silent, owner, part_of_arm, rate):
+def rates(jacobian, distance, velocity, accel, order, inactive, owner, part_of_arm, rate):
     """What a velocity of all joints does to all pairs: d' = G q', and the shortest time.
 
     Args:
@@ -110,7 +110,7 @@ def rates(jacobian, distance, velocity, accel, order, silent, owner, part_of_arm
         velocity: (nv,).
         accel: d'' (P,) for times of second order, read only there.
         order: 1 or 2.
-        silent: (P,) pairs that do not count now.
+        inactive: (P,) pairs that do not count now.
         owner: (nv,) number of the arm that a joint belongs to, -1 for none.
         part_of_arm: (arms,) written: what each arm does to the pair that would meet first.
         rate: (P,) written.
@@ -128,7 +128,7 @@ def rates(jacobian, distance, velocity, accel, order, silent, owner, part_of_arm
         if not math.isfinite(total + d):
             return 0.0, -1, 0, -1, pair
         rate[pair] = total
-        if silent[pair]:
+        if inactive[pair]:
             continue
         if d < least:
             least, nearest = d, pair

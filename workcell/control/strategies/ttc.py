@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from workcell.control import avoidance, elbow
+from workcell.control.arm_constraints import Allowance
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.recovery import Recovery, RecoveryState
 from workcell.control.scaling import FactorGovernor
-from workcell.control.share import Allowance
 from workcell.control.strategy import ArmView, StrategySetup
 from workcell.control.tick import Array, Steering
 
@@ -74,7 +74,7 @@ class TtcStrategy:
     def _advance(self, view: ArmView, allowance: Allowance) -> RecoveryState:
         jobs = view.jobs
         return self._recovery.advance(
-            must_yield=allowance.pressed,
+            must_yield=allowance.must_yield,
             clock_s=0.0 if jobs is None else jobs.progress_s,
             moving=jobs is not None and jobs.moving,
             out_of_reach=view.setpoint.waits and allowance.bound.factor == 1.0,

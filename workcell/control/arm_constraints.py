@@ -1,8 +1,8 @@
 """The watched pairs as a tick sees them, and what they allow to the motion of one arm.
 
-    Watched   all pairs: distances, G = dd/dq, rates and the smallest time to collision
-    Share     one arm's part of them: what the others cause, the program of its inverse kinematics,
-              the factor that keeps every time to collision, whether a command keeps it
+    Watched         all pairs: distances, G = dd/dq, rates and the smallest time to collision
+    ArmConstraints  one arm's part of them: what the others cause, the program of its inverse kinematics,
+                    the speed scale that keeps every time to collision, whether a command keeps it
 
 What is kept here from tick to tick are the arrays; the arithmetic is in `laws`.
 """
@@ -28,21 +28,21 @@ from workcell.scenario import Control
 from workcell.scene.addresses import ArmAddresses
 
 __all__ = [
+    "HYPOTHESES",
     "TASK_SLACK_M_S",
-    "WAYS",
     "Allowance",
+    "ArmConstraints",
     "ArmPairs",
     "Keeping",
     "Rates",
-    "Share",
     "Watched",
 ]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-WAYS = 3
-"""Velocities that an arm may count on another arm to have: what it was last commanded, what is asked of it, and what its
+HYPOTHESES = 3
+"""Velocity hypotheses of an arm, for others: what it was last commanded, what is asked of it, and what its
 joint limits let through of that."""
 
 
@@ -66,7 +66,7 @@ class Allowance:
 
     bound: ScaleBound
     """By the times to collision; its pairs are numbered among those the arm answers for."""
-    pressed: bool
+    must_yield: bool
     """Whether standing is not enough for a pair that the arm can do something about."""
     reach: AccelerationInterval
     """By the joints' acceleration."""
@@ -90,10 +90,10 @@ class Watched:
         """ḋ (P,) at the measured velocities."""
         self.accel_m_s2: Array | None = None
         """d̈ (P,) where second-order times are asked for."""
-        self.silent = np.zeros(pairs, dtype=bool)
+        self.inactive = np.zeros(pairs, dtype=bool)
         """(P,) pairs that do not count now: an instrument against the hand that holds it."""
-        self.ways_rad_s = np.zeros((WAYS, nv))
-        """(WAYS, nv) what each arm may be counted on to do in this tick."""
+        self.hypotheses_rad_s = np.zeros((HYPOTHESES, nv))
+        """(HYPOTHESES, nv) what each arm are predicted to do in this tick."""
         self._owner = np.full(nv, -1, dtype=np.int64)
         for arm, own in enumerate(dofs):
             self._owner[own] = arm
@@ -104,11 +104,11 @@ class Watched:
         """Take this tick's distances and G."""
         self.distance_m[...], self.jacobian[...] = proximity.distance_m, jacobian
 
-    def share(
+    def constrain(
         self, ik: ArmIk, configuration: mink.Configuration, pairs: ArmPairs, *, support: bool
-    ) -> Share:
+    ) -> ArmConstraints:
         """One arm's part."""
-        return Share(self, ik, configuration, pairs, support=support)
+        return ArmConstraints(self, ik, configuration, pairs, support=support)
 
     def rates(self, velocity_rad_s: Array, accel_m_s2: Array | None = None) -> Rates:
         """What a velocity (nv,) of all joints does; with d̈ (P,) the times are of second order.
@@ -120,7 +120,7 @@ class Watched:
         self._velocity[...] = velocity_rad_s
         order, accel = (1, self.distance_m) if accel_m_s2 is None else (2, accel_m_s2)
         ttc_s, first, nearest, cause, bad = time_to_collision.rates(
-            self.jacobian, self.distance_m, self._velocity, accel, order, self.silent, self._owner,
+            self.jacobian, self.distance_m, self._velocity, accel, order, self.inactive, self._owner,
             self._part, rate,
         )  # fmt: skip
         if bad >= 0:
@@ -145,11 +145,11 @@ class ArmPairs:
     """The arm against its surroundings: the M N pairs of the criterion. Self pairs are watched but not averaged."""
     owned: Indices
     """Pairs that it answers for by slowing down."""
-    standing: NDArray[np.bool_]
+    fixed_base: NDArray[np.bool_]
     """For each of these, whether it is with the arm's own base, which only another arm can come near."""
 
 
-class Share:
+class ArmConstraints:
     """One arm's part of the watched pairs; R is the number of those it answers for, n that of its joints.
 
     Args:
@@ -181,7 +181,7 @@ class Share:
         """(R,) which of them the arm's present job brings together."""
         self._meeting_pairs: Indices | None = None
         self.other_m_s = np.zeros(len(watched.distance_m))
-        """(P,) the rates that the others cause, as far as the arm counts on them; only of the pairs it moves."""
+        """(P,) the rates that the others cause, as predicted; only of the pairs it moves."""
         self.kept_other_m_s: Array | None = None
         """(R,) the same when every time to collision was last kept."""
 
@@ -190,7 +190,7 @@ class Share:
             np.ascontiguousarray(k, dtype=np.int64)
             for k in (pairs.moved, pairs.averaged, pairs.owned, self.arm.dofs)
         )
-        self._standing = np.ascontiguousarray(pairs.standing)
+        self._fixed_base = np.ascontiguousarray(pairs.fixed_base)
         self._task, self._velocity, self._before = np.zeros(n), np.zeros(n), np.zeros(n)
         self._qvel = np.zeros(watched.jacobian.shape[1])
         self._push = np.zeros((n, n)), np.zeros(n)
@@ -223,20 +223,24 @@ class Share:
             raise WorkcellError(f"watched pair {bad}: its distance or its rate is not finite")
         return artc, armd
 
-    def count_on_others(self, *, static: bool) -> None:
-        """Take `other_m_s` from what the other arms may be counted on to do.
+    def predict_others(self, *, static: bool) -> None:
+        """Take `other_m_s` from what the other arms are predicted to do.
 
-        A support arm counts on the least favourable of their ways, as they may be kept from doing at
+        A support arm assumes the least favourable of their velocity hypotheses, as they may be kept from doing at
         once what is asked of them; a priority arm on what they were commanded. Static: they stand.
         """
         bad = pair_rule.predicted_rates(
-            self.watched.jacobian, self._moved, self._foreign, self._ways(static), self.other_m_s
+            self.watched.jacobian,
+            self._moved,
+            self._foreign,
+            self._hypotheses(static),
+            self.other_m_s,
         )
         if bad >= 0:
             raise FloatingPointError(f"watched pair {bad}: what others do to it is not finite")
 
-    def _ways(self, static: bool) -> Array:
-        return self.watched.ways_rad_s[: 0 if static else WAYS if self.support else 1]
+    def _hypotheses(self, static: bool) -> Array:
+        return self.watched.hypotheses_rad_s[: 0 if static else HYPOTHESES if self.support else 1]
 
     def solve(
         self,
@@ -268,7 +272,7 @@ class Share:
             wish[0][...], wish[1][...] = push.hessian, push.linear
         static = self.support and settings.variant == "static"
         code, culprit, rows = program.arm_program(
-            watched.jacobian, watched.distance_m, watched.rate_m_s, self._ways(static),
+            watched.jacobian, watched.distance_m, watched.rate_m_s, self._hypotheses(static),
             self._foreign, self._moved, self._averaged, self._dof, self._task, self._qvel, kind,
             self.support, *wish, ik.criterion.gain, settings.t_min_s, settings.standoff_m,
             settings.d_min_m, ik.qpos, *ik.joints, self._before, ik.dt_s, ik.tool_rows,
@@ -320,7 +324,7 @@ class Share:
         found, must_yield = speed_scale.arm_scale(
             watched.jacobian, watched.distance_m, self.other_m_s,
             watched.distance_m if accel is None else accel, self._owned, self.meeting,
-            self._standing, self._dof, self._velocity, rule, settings.t_min_s, settings.standoff_m,
+            self._fixed_base, self._dof, self._velocity, rule, settings.t_min_s, settings.standoff_m,
             settings.d_min_m, settings.slow_distance_m, self._work,
         )  # fmt: skip
         if found[5] >= 0:

@@ -1,4 +1,4 @@
-"""What an arm's share of the pairs answers is what the second opinion says, whatever state it is in."""
+"""What an arm's constraints answer is what the second opinion says, whatever state it is in."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tests.control.oracles import rule
 from tests.control.oracles.arm import ArmOracle
 from workcell import scenario
 from workcell.control import criteria
+from workcell.control.arm_constraints import HYPOTHESES, ArmConstraints, ArmPairs, Rates, Watched
 from workcell.control.ik import OPTIMAL, ArmIk
-from workcell.control.share import WAYS, ArmPairs, Rates, Share, Watched
 from workcell.errors import WorkcellError
 from workcell.motion.path import standing
 from workcell.scene import cell as scene
@@ -27,7 +27,7 @@ def cell(tmp_path_factory):
 
 
 class Bench:
-    """A cell's pairs in any state, and one arm's share of them."""
+    """A cell's pairs in any state, and one arm's constraints."""
 
     def __init__(self, cell: scene.Cell, random: np.random.Generator, *, support: bool):
         self.cell, self.random = cell, random
@@ -49,18 +49,18 @@ class Bench:
         watched.jacobian[...] = random.normal(0, 0.3, (pairs, nv)) * (
             random.random((pairs, 1)) < 0.9
         )
-        watched.silent[...] = random.random(pairs) < 0.1
-        watched.ways_rad_s[...] = random.normal(0, 0.2, (WAYS, nv)) * random.integers(2)
+        watched.inactive[...] = random.random(pairs) < 0.1
+        watched.hypotheses_rad_s[...] = random.normal(0, 0.2, (HYPOTHESES, nv)) * random.integers(2)
         watched.rate_m_s[...] = watched.jacobian @ random.normal(0, 0.2, nv)
         moved, averaged, owned = (np.flatnonzero(random.random(pairs) < p) for p in (0.9, 0.6, 0.5))
         self.ik = ArmIk(self.arm, nv=nv, dt_s=0.002, task_gain_per_s=10.0, criterion_gain=8.0)
-        self.share = watched.share(
+        self.constraints = watched.constrain(
             self.ik,
             self.belief,
             ArmPairs(moved, averaged, owned, random.random(len(owned)) < 0.2),
             support=support,
         )
-        self.share.meeting[...] = random.random(len(owned)) < 0.2
+        self.constraints.meeting[...] = random.random(len(owned)) < 0.2
 
 
 def assert_rates_agree(watched: Watched, velocity, accel, found: Rates) -> None:
@@ -71,9 +71,9 @@ def assert_rates_agree(watched: Watched, velocity, accel, found: Rates) -> None:
         if accel is None
         else rule.second_order(watched.distance_m, found.rate_m_s, accel)
     )
-    ttc, pair = rule.smallest(np.where(watched.silent, 0.0, kappa))
+    ttc, pair = rule.smallest(np.where(watched.inactive, 0.0, kappa))
     assert (found.first.ttc_s, found.first.pair) == (ttc, pair)
-    assert found.nearest == np.where(watched.silent, np.inf, watched.distance_m).argmin()
+    assert found.nearest == np.where(watched.inactive, np.inf, watched.distance_m).argmin()
     if pair >= 0:
         parts = [watched.jacobian[pair, dofs] @ velocity[dofs] for dofs in DOFS]
         assert parts[found.cause] == pytest.approx(min(parts), abs=ROUNDING)
@@ -102,20 +102,20 @@ def test_every_answer_of_a_share(
     random = np.random.default_rng(seed)
     bench = Bench(cell, random, support=support)
     DOFS[:] = [arm.dofs for arm in cell.arms]
-    share, watched, ik = bench.share, bench.watched, bench.ik
+    constraints, watched, ik = bench.constraints, bench.watched, bench.ik
     asked = cell.scenario.control.model_copy(
         update={"criterion": criterion, "variant": variant, "slow_down": slow_down}
     )
-    oracle = ArmOracle(share, asked)
+    oracle = ArmOracle(constraints, asked)
     accel = random.normal(0, 0.5, len(watched.distance_m))
     watched.accel_m_s2 = accel if order == 2 else None
 
     qvel = speed * random.normal(size=cell.model.nv)
     assert_rates_agree(watched, qvel, watched.accel_m_s2, watched.rates(qvel, watched.accel_m_s2))
-    averaged = share.pairs.averaged
+    averaged = constraints.pairs.averaged
     for approaching in (False, True):
         np.testing.assert_allclose(
-            share.surroundings(approaching=approaching),
+            constraints.surroundings(approaching=approaching),
             rule.means(
                 watched.distance_m[averaged], watched.rate_m_s[averaged], approaching=approaching
             ),
@@ -133,9 +133,9 @@ def test_every_answer_of_a_share(
     other = oracle.other(static=static)
     rows, allowed = oracle.self_motion_rows(task, other)
     H, c = oracle.criterion(qvel, other) if push is None else (push.hessian, push.linear)
-    mine = share.solve(previous, task, qvel, asked, push)
-    moved = share.pairs.moved
-    np.testing.assert_allclose(share.other_m_s[moved], other[moved], rtol=0, atol=ROUNDING)
+    mine = constraints.solve(previous, task, qvel, asked, push)
+    moved = constraints.pairs.moved
+    np.testing.assert_allclose(constraints.other_m_s[moved], other[moved], rtol=0, atol=ROUNDING)
     count = len(allowed)
     np.testing.assert_allclose(ik.space.rows[:count], rows, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(ik.space.bounds[:count], allowed, rtol=0, atol=1e-11)
@@ -148,53 +148,55 @@ def test_every_answer_of_a_share(
     assert plain.status == mine.status
     np.testing.assert_allclose(mine.velocity_rad_s, plain.velocity_rad_s, rtol=0, atol=1e-5)
 
-    share.other_m_s[...] = other
+    constraints.other_m_s[...] = other
     if remembered:
-        share.kept_other_m_s = (other + random.normal(0, 0.1, len(other)))[share.pairs.owned]
+        constraints.kept_other_m_s = (other + random.normal(0, 0.1, len(other)))[
+            constraints.pairs.owned
+        ]
     wanted, command = speed * random.normal(size=(2, 7))
-    found = share.allow(wanted, command, 0.002, asked)
+    found = constraints.allow(wanted, command, 0.002, asked)
     (factor, _, _, short, _), must_yield = oracle.allow(wanted, other)
     assert found.bound.factor == pytest.approx(factor, abs=1e-9)
     assert found.bound.shortfall_m_s == pytest.approx(short, abs=1e-12)
-    assert found.pressed == must_yield
+    assert found.must_yield == must_yield
     limit = bench.arm.acceleration_limit_rad_s2
     with np.errstate(all="ignore"):
         reach = rule.acceleration_interval(command, wanted, limit, 0.002)
     assert (found.reach.lowest, found.reach.highest, found.reach.feasible) == reach
-    assert share.is_free(wanted, asked) == (found.bound.factor == 1.0)
+    assert constraints.is_free(wanted, asked) == (found.bound.factor == 1.0)
 
-    kept, theirs = share.kept(command, asked), oracle.kept(command, other)
-    np.testing.assert_array_equal(kept.rows, oracle.rows(share.pairs.owned))
+    kept, theirs = constraints.kept(command, asked), oracle.kept(command, other)
+    np.testing.assert_array_equal(kept.rows, oracle.rows(constraints.pairs.owned))
     for name, values in theirs.items():
         np.testing.assert_allclose(getattr(kept, name), values, rtol=0, atol=1e-12)
-    before = share.kept_other_m_s
-    keeps = share.keeps(command, asked)
+    before = constraints.kept_other_m_s
+    keeps = constraints.keeps(command, asked)
     assert keeps == (not (theirs["short"] | theirs["needs_more"]).any())
     if keeps:
-        np.testing.assert_array_equal(share.kept_other_m_s, other[share.pairs.owned])
+        np.testing.assert_array_equal(constraints.kept_other_m_s, other[constraints.pairs.owned])
     else:
-        assert share.kept_other_m_s is before
+        assert constraints.kept_other_m_s is before
 
 
 def test_a_number_that_is_not_finite_is_never_kept_and_is_named(cell):
     bench = Bench(cell, np.random.default_rng(1), support=True)
-    share, watched = bench.share, bench.watched
+    constraints, watched = bench.constraints, bench.watched
     settings_, still = cell.scenario.control, np.zeros(7)
     task = bench.ik.aim(bench.belief, standing(bench.tool_m, bench.tool_wxyz))
-    pair = int(share.pairs.moved[3])
+    pair = int(constraints.pairs.moved[3])
     watched.distance_m[pair] = np.nan
     with pytest.raises(WorkcellError, match=f"watched pair {pair}: its distance nan"):
         watched.rates(np.zeros(cell.model.nv))
     with pytest.raises(FloatingPointError, match=f"arm nurse: .* in watched pair {pair}"):
-        share.solve(still, task, np.zeros(cell.model.nv), settings_)
+        constraints.solve(still, task, np.zeros(cell.model.nv), settings_)
     watched.distance_m[...] = 1.0
-    watched.distance_m[share.pairs.owned[0]] = np.nan
-    assert not share.keeps(still, settings_)
-    with pytest.raises(WorkcellError, match=f"watched pair {share.pairs.owned[0]}"):
-        share.allow(still, still, 0.002, settings_)
+    watched.distance_m[constraints.pairs.owned[0]] = np.nan
+    assert not constraints.keeps(still, settings_)
+    with pytest.raises(WorkcellError, match=f"watched pair {constraints.pairs.owned[0]}"):
+        constraints.allow(still, still, 0.002, settings_)
     watched.distance_m[...] = 1.0
     with pytest.raises(FloatingPointError, match=r"arm nurse: .* in joint "):
-        share.solve(np.full(7, np.nan), task, np.zeros(cell.model.nv), settings_)
+        constraints.solve(np.full(7, np.nan), task, np.zeros(cell.model.nv), settings_)
 
 
 def test_a_cell_without_pairs(cell):
@@ -205,10 +207,12 @@ def test_a_cell_without_pairs(cell):
     ik = ArmIk(cell.arms[1], nv=nv, dt_s=0.002, task_gain_per_s=10.0, criterion_gain=8.0)
     belief = mink.Configuration(cell.model)
     none = np.zeros(0, dtype=np.intp)
-    share = watched.share(
+    constraints = watched.constrain(
         ik, belief, ArmPairs(none, none, none, np.zeros(0, dtype=bool)), support=True
     )
-    assert isinstance(share, Share)
-    assert share.surroundings(approaching=False) == (0.0, 0.0)
-    assert share.keeps(np.ones(7), cell.scenario.control)
-    assert share.allow(np.ones(7), np.ones(7), 0.002, cell.scenario.control).bound.factor == 1.0
+    assert isinstance(constraints, ArmConstraints)
+    assert constraints.surroundings(approaching=False) == (0.0, 0.0)
+    assert constraints.keeps(np.ones(7), cell.scenario.control)
+    assert (
+        constraints.allow(np.ones(7), np.ones(7), 0.002, cell.scenario.control).bound.factor == 1.0
+    )
