@@ -52,6 +52,8 @@ class ControlledArm:
         self.addresses = addresses
         self.name = addresses.name
         self.support = addresses.support
+        self.task: str = settings.task
+        """What of its tool's pose its operator and its jobs ask for, unless a job says otherwise."""
         self.dofs = addresses.dofs
         self.columns = as_slice(addresses.dofs)
         """Where its joints are in a joint velocity of the whole cell."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from workcell import scenario
 from workcell.control.criteria import NullspaceObjective
-from workcell.control.ik import ArmIk, ToolTask
+from workcell.control.ik import DIRECTIONS, ArmIk, ToolTask
 from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
 from workcell.motion.operators import faults as operator_faults
@@ -35,9 +35,7 @@ LAG_M = 0.02
 an arm as off its path (REJOIN_M)."""
 LONGEST_FOLLOWED_S = 300.0
 """So much of an operator's path is followed before a run; a few seconds of work."""
-TASK_DIRECTIONS = 6
-"""Three of position and three of orientation."""
-_NUMERALS = ("no", "one", "two", "three", "four", "five")
+_NUMERALS = ("no", "one", "two", "three", "four", "five", "six")
 _STEP_M = 0.02
 _STEP_S = 0.02
 _ITERATIONS = 30
@@ -96,8 +94,7 @@ def _out_of_reach(
     task = ToolTask(addresses.tool_site_name, gain_per_s=1.0, dt_s=1.0)
     pose = belief.get_transform_frame_to_world(addresses.tool_site_name, "site")
     position, wxyz = pose.translation(), pose.rotation().wxyz
-    for key, waypoints, free_rotation in _waypoint_lists(arm):
-        directions = 5 if free_rotation else TASK_DIRECTIONS
+    for key, waypoints, directions in _waypoint_lists(arm):
         geometry = _curve(waypoints, tuple(position), tuple(wxyz))
         for s_m in np.linspace(0.0, geometry.length_m, 2 + int(geometry.length_m / _STEP_M)):
             error = _move_to(belief, task, addresses, standing(*geometry.pose(s_m)), directions)
@@ -106,34 +103,38 @@ def _out_of_reach(
                 yield (
                     f"arm.{arm.name}.{key}: out of reach at ({at}) m, {s_m:.2f} of {geometry.length_m:.2f} m along the path: "
                     f"the tool stays {np.linalg.norm(error[:3]):.3f} m and {np.linalg.norm(error[3:]):.3f} rad away"
-                    + _too_few_joints(addresses)
+                    + _too_few_joints(addresses, directions)
                 )
                 return
         position, wxyz = geometry.pose(geometry.length_m)
 
 
-def _too_few_joints(addresses: ArmAddresses) -> str:
-    """What an arm of fewer than six joints cannot help."""
+def _too_few_joints(addresses: ArmAddresses, directions: int) -> str:
+    """What an arm with fewer joints than its task has directions cannot help, and what it can be asked instead."""
     joints = len(addresses.joints)
-    if joints >= TASK_DIRECTIONS:
+    if joints >= directions:
         return ""
+    fewer = [f"'{task}' has {_NUMERALS[n]}" for task, n in DIRECTIONS.items() if n < directions]
     return (
-        f"; the task has six directions, the arm {_NUMERALS[joints]} joint{'s' * (joints > 1)}: "
+        f"; the task has {_NUMERALS[directions]} directions, the arm {_NUMERALS[joints]} joint{'s' * (joints > 1)}: "
         "only poses on the way that its joints allow can be followed"
+        + (f"; arm.{addresses.name}.task = {', '.join(fewer)}" if fewer else "")
     )
 
 
 def _waypoint_lists(
     arm: scenario.Arm,
-) -> Iterator[tuple[str, tuple[scenario.Waypoint, ...], bool]]:
-    """Key and waypoints of every path that is known beforehand, and whether the tool may turn about its axis."""
+) -> Iterator[tuple[str, tuple[scenario.Waypoint, ...], int]]:
+    """Key and waypoints of every path that is known beforehand, and how many directions of the tool are asked for."""
     if isinstance(arm.operator, scenario.Waypoints):
-        yield "operator.waypoints", arm.operator.waypoints, False
+        yield "operator.waypoints", arm.operator.waypoints, DIRECTIONS[arm.task]
     elif isinstance(arm.operator, scenario.Human):
-        yield "operator.sites", arm.operator.sites, False
+        yield "operator.sites", arm.operator.sites, DIRECTIONS[arm.task]
     for index, job in enumerate(arm.job):
         if isinstance(job, scenario.Move):
-            yield f"job.{index}.waypoints", job.waypoints, job.free_rotation
+            directions = DIRECTIONS[job.task or arm.task]
+            directions = min(directions, 5) if job.free_rotation else directions
+            yield f"job.{index}.waypoints", job.waypoints, directions
 
 
 def _move_to(
@@ -141,7 +142,7 @@ def _move_to(
     task: ToolTask,
     addresses: ArmAddresses,
     pose: Target,
-    directions: int = TASK_DIRECTIONS,
+    directions: int = 6,
 ) -> NDArray[np.float64]:
     """Newton steps towards a pose, clipped to the joint ranges.
 
@@ -150,7 +151,7 @@ def _move_to(
         task: The tool's task.
         addresses: The arm.
         pose: Where the tool is wanted.
-        directions: Of the task that count: all six, or five without the rotation about the tool's axis.
+        directions: How many of the task's six count, as in `ik.DIRECTIONS`.
 
     Returns:
         (directions,) the remaining tool error: m, then rad.
@@ -243,6 +244,7 @@ def largest_lag(
         task_gain_per_s=control.task_gain_per_s,
         criterion_gain=0.0,
     )
+    task = next(arm.task for arm in cell.scenario.arm if arm.name == addresses.name)
     n = len(addresses.dofs)
     nothing = NullspaceObjective(np.zeros((n, n)), np.zeros(n))
     no_rows = np.zeros((0, n)), np.zeros(0)
@@ -259,7 +261,7 @@ def largest_lag(
         error_m = float(np.linalg.norm(tool - target.position_m))
         if error_m > worst.error_m:
             worst = Lag(error_m, target.position_m)
-        least = ik.aim(belief, target)
+        least = ik.aim(belief, target, task=task)
         allowed = ik.followed(belief, velocity, least) if quick else None
         if allowed is None or not np.array_equal(allowed, least):
             allowed = ik.solve(belief, velocity, nothing, *no_rows).velocity_rad_s

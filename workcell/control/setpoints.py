@@ -100,6 +100,7 @@ class Setpoints:
                 catch_up_m_s=sensed.settings.catch_up_m_s if arm.support else np.inf,
                 free_rotation=arm.memory.answer.free_rotation
                 or (arm.jobs is not None and arm.jobs.free_rotation),
+                task=(arm.jobs and arm.jobs.task) or arm.task,
             )
         except FloatingPointError as error:
             for value in (

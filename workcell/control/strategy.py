@@ -152,9 +152,10 @@ class ArmView:
 
     @property
     def tool_jacobian(self) -> Array:
-        """(6, n) linear, then angular velocity of the tool in its own frame for each joint's."""
+        """(6, n) linear, then angular velocity of the tool in its own frame for each joint's; fewer rows where the
+        task asks for less than a pose."""
         return self._arm.configuration.get_frame_jacobian(self.limits.tool_site_name, "site")[
-            :, self._arm.dofs
+            : self._arm.ik.directions, self._arm.dofs
         ]
 
     @property

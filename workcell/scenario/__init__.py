@@ -43,7 +43,7 @@ from workcell.scenario.schema import (
     Variation,
     View,
 )
-from workcell.scenario.values import UNIT_QUATERNION_TOLERANCE, Entry
+from workcell.scenario.values import UNIT_QUATERNION_TOLERANCE, Entry, ToolTask
 
 __all__ = [
     "KINDS",
@@ -76,6 +76,7 @@ __all__ = [
     "Scenario",
     "Simulation",
     "Stream",
+    "ToolTask",
     "Variation",
     "View",
     "Wait",

@@ -17,6 +17,7 @@ from workcell.scenario.values import (
     Name,
     Speed,
     Table,
+    ToolTask,
 )
 
 
@@ -25,6 +26,7 @@ class _Motion(Table):
 
     speed_m_s: Speed = 0.15
     acceleration_m_s2: Acceleration = 0.5
+    task: ToolTask | None = None
 
 
 class Move(_Motion):

@@ -54,6 +54,7 @@ from workcell.scenario.values import (
     Shade,
     Speed,
     Table,
+    ToolTask,
     Vector3,
     Whole,
     at_least,
@@ -118,6 +119,7 @@ class Arm(Table):
     allow_bare_housing: bool = False
     tool_site: Label = "tool"
     elbow_site: Label | None = None
+    task: ToolTask = "pose"
     priority: Annotated[int, Field(ge=0, le=1000)] = 0
     velocity_limit_rad_s: tuple[Speed, ...] | None = None
     acceleration_limit_rad_s2: tuple[Acceleration, ...] | None = None

@@ -111,6 +111,8 @@ FileName = Annotated[str, Field(min_length=1, max_length=4000), AfterValidator(_
 Whole = Annotated[int, Field(ge=-(2**53), le=2**53)]
 """An integer that a float holds exactly."""
 Entry = Literal["left", "right", "above"]
+ToolTask = Literal["pose", "axis", "position"]
+"""What of a tool's pose is asked for: all of it; its position and where its z axis points; its position alone."""
 
 
 class Table(BaseModel):

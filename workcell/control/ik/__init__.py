@@ -2,6 +2,7 @@
 
 from workcell.control.ik.mink_tasks import CriterionTask, JointLimit, ToolTask, TtcLimit
 from workcell.control.ik.solve import (
+    DIRECTIONS,
     OPTIMAL,
     STOPPED,
     TASK_ONLY,
@@ -11,6 +12,7 @@ from workcell.control.ik.solve import (
 )
 
 __all__ = [
+    "DIRECTIONS",
     "OPTIMAL",
     "STOPPED",
     "TASK_ONLY",

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import mink
+import mujoco
 import numpy as np
 from mink.tasks.task import BaseTask
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik.mink_tasks import CriterionTask, JointLimit, ToolTask, TtcLimit
 from workcell.control.ik.qp import SOLVER_TOLERANCE_RAD_S, ProgramSpace, solution
 from workcell.control.laws import joint_limits, program, tool_task
+from workcell.motion.orientation import pointing, turned_towards
 from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
 from workcell.scene.addresses import ArmAddresses
 
@@ -33,6 +35,9 @@ Array = NDArray[np.float64]
 SOFT_TASK_COST = 50.0
 """Weight of the tool task where the tool has to give way to the joint limits: a direction in which a metre a second takes the
 joints more than 50 rad/s is let go, so that an arm at the end of its reach does not thrash; others lose 0.2 %."""
+
+DIRECTIONS = {"pose": 6, "axis": 5, "position": 3}
+"""How many of the tool's six directions each task asks for: position first, the turn about the tool's own axis last."""
 
 OPTIMAL = "optimal"
 TASK_ONLY = "task_only"
@@ -87,6 +92,8 @@ class ArmIk:
         """(6, n) and (6,) what the last `aim` asks of the tool: rows q̇ = rates, of which the first `tool_count` count."""
         self.tool_count = 6
         """How many of the tool's six the last `aim` has asked for."""
+        self.directions = 6
+        """The same as its task has them; a free rotation leaves out one more of a pose."""
         self.tool_error = (0.0, 0.0)
         """How far the tool was from its target then, m and rad."""
         self.path_rad_s = np.zeros(n)
@@ -149,6 +156,7 @@ class ArmIk:
         *,
         catch_up_m_s: float = np.inf,
         free_rotation: bool = False,
+        task: str = "pose",
     ) -> Array:
         """Take this tick's target and state.
 
@@ -157,6 +165,7 @@ class ArmIk:
             target: Where the tool should be and how it should move.
             catch_up_m_s: Largest speed at which a tool error is made good, turning counted as length.
             free_rotation: Leave the rotation about the tool's own axis to the null space.
+            task: What of the target's pose is asked for; a key of `DIRECTIONS`.
 
         Returns:
             (n,) the smallest joint velocity that gives the tool its wanted twist, limits aside.
@@ -168,10 +177,14 @@ class ArmIk:
         position, wxyz, velocity, turn = self._pose
         position[...], wxyz[...] = target.position_m, target.wxyz
         velocity[...], turn[...] = target.velocity_m_s, target.angular_velocity_rad_s
+        self.directions = DIRECTIONS[task]
+        self.tool_count = min(self.directions, 5 if free_rotation else 6)
+        if task != "pose":
+            wxyz[...] = self._nearest_turn(target.wxyz, task)
         whole, path = np.empty(self.space.n), np.empty(self.space.n)
         code, error_m, error_rad = tool_task.tool_task(
             *self._frames, *self._pose, self.tool.gain, self.dt_s, float(catch_up_m_s),
-            TURN_LENGTH_M_PER_RAD, bool(free_rotation), self.tool_rows, self.tool_rates,
+            TURN_LENGTH_M_PER_RAD, self.tool_count, self.tool_rows, self.tool_rates,
             self._gram, self._solved, whole, path,
         )  # fmt: skip
         if code != tool_task.FINE:
@@ -179,10 +192,15 @@ class ArmIk:
             raise FloatingPointError(
                 f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite, in the tool's {what}"
             )
-        self.tool_count = 5 if free_rotation else 6
         self.tool_error = error_m, error_rad
         self.path_rad_s = path
         return whole
+
+    def _nearest_turn(self, wxyz: Array, task: str) -> Array:
+        """(4,) of all orientations that a task allows the one nearest to the tool's: nothing turns for what is not asked."""
+        now = np.empty(4)
+        mujoco.mju_mat2Quat(now, self._frames[1][self.arm.tool_site])
+        return now if task == "position" else turned_towards(now, pointing(now), pointing(wxyz))
 
     def solve(
         self,

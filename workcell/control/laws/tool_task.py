@@ -40,7 +40,7 @@ written leave out less than 1e-15 at this angle, the quotients lose no more abov
 @law
 def tool_task(
     site_xpos, site_xmat, cdof, subtree_com, site, dof, dof_root, moves, position, wxyz, velocity,
-    turn, gain, period, catch_up, turn_length, free, rows, rates, gram, solved, whole, path,
+    turn, gain, period, catch_up, turn_length, size, rows, rates, gram, solved, whole, path,
 ):  # fmt: skip
     """Rows and rates of a tool's task, and the least motion that does it.
 
@@ -56,7 +56,8 @@ def tool_task(
         period: In s.
         catch_up: Largest speed at which an error is made good, m/s; may be infinite.
         turn_length: Length that a radian counts as in it, m.
-        free: Whether the rotation about the tool's own axis is left to the null space.
+        size: How many of the six directions count: 6, 5 without the rotation about the tool's own axis, 3 for the
+            position alone.
         rows: (6, n), written.
         rates: (6,) in m/s and rad/s, written: rows q' = rates.
         gram, solved: (6, 6) and (2, 6) for use inside.
@@ -78,7 +79,7 @@ def tool_task(
     rho = _inverse_left(phi, into_frame(site_xmat, site, offset))
     _rates(rho, phi, target, velocity, turn, gain, period, catch_up, turn_length, rates, solved)
     _rows(rho, phi, site_xmat, cdof, subtree_com, site, here, dof, dof_root, moves, rows)
-    if not _least_motions(rows, rates, 5 if free else 6, gram, solved, whole, path):
+    if not _least_motions(rows, rates, size, gram, solved, whole, path):
         return STATE_NOT_FINITE, math.nan, math.nan
     return FINE, length(offset), angle
 

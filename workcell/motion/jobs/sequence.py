@@ -83,6 +83,8 @@ class JobSequence:
         """Whether the present job is to get away."""
         self.free_rotation = False
         """Whether the present job leaves the rotation about the tool's axis free."""
+        self.task: scenario.ToolTask | None = None
+        """What of the tool's pose the present job asks for, None as the arm's others do; kept until the next job with a path."""
         self.finished = 0
         """How many jobs have been done."""
         self.switched = False
@@ -243,6 +245,8 @@ class JobSequence:
             isinstance(job, (scenario.Move, scenario.Present, scenario.Retreat))
             and job.free_rotation
         )
+        if job is not None and not isinstance(job, scenario.Wait):
+            self.task = job.task
         if job is None or isinstance(job, scenario.Wait):
             self._target = standing(self._target.position_m, self._target.wxyz)
         elif isinstance(job, scenario.Retreat):
