@@ -140,10 +140,11 @@ class PairState:
     def __init__(self, geometry: PairGeometry, data: mujoco.MjData):
         self.data = data
         pairs, joints = geometry.sign.shape
-        directions = [np.zeros((pairs, 3)) for _ in range(5)]
+        normal, witness_i, witness_j, surface_i, surface_j = np.zeros((5, pairs, 3))
         self.found = Proximity(
-            np.zeros(pairs), *directions, np.zeros((pairs, joints)), np.zeros(pairs, dtype=bool)
-        )
+            np.zeros(pairs), normal, witness_i, witness_j, surface_i, surface_j, np.zeros((pairs, joints)),
+            np.zeros(pairs, dtype=bool),
+        )  # fmt: skip
         """The last answer of `laws.distance.measure`."""
         found = self.found
         self.measured: tuple[Any, ...] = (

@@ -142,8 +142,14 @@ class ApproachWatch:
                 pair.append(near)
                 tick.append(np.full(len(near), c))
         if not tick:
-            return _Found(*(np.empty(0, dtype=np.intp),) * 2, np.empty(0), np.empty((0, 6)))
-        return _Found(*(np.concatenate(part) for part in (tick, pair, distance, ends)))
+            none = np.empty(0, dtype=np.intp)
+            return _Found(none, none, np.empty(0), np.empty((0, 6)))
+        return _Found(
+            np.concatenate(tick),
+            np.concatenate(pair),
+            np.concatenate(distance),
+            np.concatenate(ends),
+        )
 
     def _keep_distances(self, ticks: Stretch, found: _Found) -> None:
         best = int(found.distance.argmin())
@@ -192,7 +198,7 @@ class ApproachWatch:
                 self._body[g] = 0
         self._party = party[self._pairs]
         """(P, 2) number of the arm that moves each geom, -1 for none."""
-        self._counts = (self._party >= 0).any(axis=1)
+        self._counts: NDArray[np.bool_] = np.any(self._party >= 0, axis=1)
         for held, pairs in self._hands.items():
             item, _, arm = held.partition("=")
             if holders.get(item) == arm:

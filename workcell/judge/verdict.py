@@ -164,8 +164,8 @@ def judge_trace(trace: Trace, model: mujoco.MjModel, *, cap_m_s: float | None = 
     states, qpos, qvel = _states(trace)
     time_s, t_min_s, command = trace["time_s"], trace["t_min_s"], trace["command_rad_s"]
     period_s = float(about["settings"]["simulation"]["period_s"])
-    pairs = [tuple(pair) for pair in trace.layout.pairs]
-    meeting = [tuple(pair) for pair in about.get("meeting_pairs", [])]
+    pairs = [(first, second) for first, second in trace.layout.pairs]
+    meeting = [(first, second) for first, second in about.get("meeting_pairs", [])]
     contact = ContactWatch(scene, meeting, clear_m=about["settings"]["control"]["d_min_m"])
     approach = ApproachWatch(scene, pairs, hands=about.get("hands"), meeting=meeting)
     cap = cap_m_s if cap_m_s is not None else _cap(about["settings"])

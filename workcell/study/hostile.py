@@ -50,7 +50,7 @@ def variations(name: str, overrides: tuple[str, ...] = ()) -> Variations:
             if key.startswith((f"arm.{hand.name}.operator.", "simulation.seed"))
         }
     content["expect"] = {}
-    return Variations(scenario_file.validate(content, target.file))
+    return Variations(scenario_file.validate(content, Path(target.file)))
 
 
 def runs(

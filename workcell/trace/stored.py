@@ -153,8 +153,8 @@ def convert(journal: Path, target: Path) -> None:
                 temporary,
                 batches.schema,
                 compression="zstd",
-                use_dictionary=strings,
-                write_statistics=False,  # Nobody searches a trace by value, and the index is half as long.  # pyright: ignore[reportArgumentType] (pyarrow takes a list)
+                use_dictionary=strings,  # pyright: ignore[reportArgumentType] (pyarrow takes a list)
+                write_statistics=False,  # Nobody searches a trace by value, and the index is half as long.
                 column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
                 write_page_checksum=True,
             ) as writer

@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -198,7 +199,9 @@ class _Panel:
         trace, dpi = self._clip.trace, 100
         height = self._height - self._gauge_px
         figure = Figure(
-            figsize=(self._width / dpi, height / dpi), dpi=dpi, facecolor=np.array(_PAPER) / 255
+            figsize=(self._width / dpi, height / dpi),
+            dpi=dpi,
+            facecolor=(_PAPER[0] / 255, _PAPER[1] / 255, _PAPER[2] / 255),
         )
         canvas = FigureCanvasAgg(figure)
         time_s = trace["time_s"]
@@ -299,7 +302,9 @@ def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], fps: int) -> N
 def _write_loop(path: Path, pictures: Iterator[NDArray[np.uint8]], fps: int) -> None:
     """A film without end, as pages show it: webp, or gif with a palette of its own."""
     images = (Image.fromarray(picture) for picture in pictures)
-    options = {"quality": 62, "method": 4} if path.suffix == ".webp" else {"optimize": True}
+    options: dict[str, Any] = (
+        {"quality": 62, "method": 4} if path.suffix == ".webp" else {"optimize": True}
+    )
     if path.suffix == ".gif":
         first = next(images).quantize(128, dither=Image.Dither.NONE)
         rest = (image.quantize(palette=first, dither=Image.Dither.NONE) for image in images)

@@ -142,7 +142,7 @@ def _curves(trace: Trace) -> Any:
     def level(row: int, name: str, value: float | None) -> None:
         if value is not None:
             figure.add_hline(
-                y=value, line={"color": css(LIMIT), "width": 1}, row=row, col=1,
+                y=value, line={"color": css(LIMIT), "width": 1}, row=row, col=1,  # pyright: ignore[reportArgumentType] (annotated as str, taken as int)
                 annotation_text=name, annotation_position="bottom right",
             )  # fmt: skip
 

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import llvmlite
 import llvmlite.binding
@@ -31,13 +31,14 @@ import numba
 import numpy as np
 from numba.core import config, event
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+Law = Callable[..., Any]
+"""numba knows the types of a law from its arguments; a type checker does not look into it."""
 
 _HERE = Path(__file__).parent
 _laws: dict[Any, str] = {}
 
 
-def law(function: _Function) -> _Function:
+def law(function: Law) -> Law:
     """Compile a function of numbers and arrays at its first call, or load it if it was compiled before.
 
     Division by zero gives infinity or NaN, as in NumPy. Numbers are added in the order written:
@@ -49,7 +50,7 @@ def law(function: _Function) -> _Function:
     return compiled
 
 
-def part(function: _Function) -> _Function:
+def part(function: Law) -> Law:
     """The same for a step of laws that is never called from Python: it is compiled into its callers."""
     return numba.njit(error_model="numpy")(function)
 
@@ -111,7 +112,7 @@ class _Progress(event.Listener):
     def __init__(self) -> None:
         self._count = 0
 
-    def on_start(self, event: event.Event) -> None:
+    def on_start(self, event: Any) -> None:
         name = _laws.get(event.data["dispatcher"])
         if name is None or parent_process() is not None:
             return
@@ -123,7 +124,7 @@ class _Progress(event.Listener):
         elif self._count == 1:
             print(message, file=sys.stderr)
 
-    def on_end(self, event: event.Event) -> None:
+    def on_end(self, event: Any) -> None:
         """End the line, which the next law to be compiled writes anew."""
         if sys.stderr.isatty() and _laws.get(event.data["dispatcher"]) is not None:
             sys.stderr.write("\r\033[K")

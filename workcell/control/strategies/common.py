@@ -18,7 +18,7 @@ from workcell.guard.halt import brake
 class DeviationOptions(BaseModel, extra="forbid", frozen=True):
     """Options of a strategy that leaves the path."""
 
-    deviation_m: float = Field(0.15, gt=0.0, le=1.0)
+    deviation_m: float = Field(default=0.15, gt=0.0, le=1.0)
     """How far the tool may be off its path while the path's clock goes on. Chosen between the 8 and 25 cm with
     which such strategies finished `handover` in trials; held at 1 to 3 cm they all stand before the first obstacle."""
 

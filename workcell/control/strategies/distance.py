@@ -23,7 +23,7 @@ class Distance:
     class Options(BaseModel, extra="forbid", frozen=True):
         """Options."""
 
-        slow_distance_m: float = Field(0.15, gt=0.0)
+        slow_distance_m: float = Field(default=0.15, gt=0.0)
         """Distance from which the arm slows down; 0.15 m is the tool's way in t_min = 1 s at 0.15 m/s."""
 
     def __init__(self, setup: StrategySetup):

@@ -23,12 +23,12 @@ from workcell.control.tick import Steering
 class JointQp:
     """Steers all arms of a cell at once."""
 
-    class Options(common.DeviationOptions):
+    class Options(common.DeviationOptions, frozen=True):
         """Options."""
 
-        task_weight: float = Field(1e3, gt=0.0)
+        task_weight: float = Field(default=1e3, gt=0.0)
         """w of support arms."""
-        priority_weight: float = Field(1e6, gt=0.0)
+        priority_weight: float = Field(default=1e6, gt=0.0)
         """w of priority arms."""
         criterion: bool = False
         """Whether the average reciprocal time to collision is minimised in the null spaces."""

@@ -26,7 +26,7 @@ SOLVER_DAMPING = 1e-6
 class MinkLimit:
     """Leaves the path where mink's limit asks for it; the path's clock goes on within `deviation_m`."""
 
-    class Options(common.DeviationOptions):
+    class Options(common.DeviationOptions, frozen=True):
         """Options."""
 
         matched: bool = True

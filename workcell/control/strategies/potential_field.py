@@ -21,12 +21,12 @@ from workcell.control.tick import Steering
 class PotentialField:
     """Is pushed off its path, whose clock goes on within `deviation_m`; guarantees nothing."""
 
-    class Options(common.DeviationOptions):
+    class Options(common.DeviationOptions, frozen=True):
         """Options."""
 
-        reach_m: float = Field(0.15, gt=0.0)
+        reach_m: float = Field(default=0.15, gt=0.0)
         """d0: distance from which a pair pushes; 0.15 m is the way in t_min = 1 s at 0.15 m/s."""
-        push_m_s: float = Field(0.15, gt=0.0)
+        push_m_s: float = Field(default=0.15, gt=0.0)
         """Speed of the push at a third of d0, chosen as the tool's own speed."""
 
     def __init__(self, setup: StrategySetup):

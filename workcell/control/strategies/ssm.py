@@ -26,7 +26,7 @@ class Ssm:
     class Options(BaseModel, extra="forbid", frozen=True):
         """Options."""
 
-        other_speed_m_s: float | None = Field(None, ge=0.0)
+        other_speed_m_s: float | None = Field(default=None, ge=0.0)
         """Closing speed of every other; None takes what is predicted of each."""
 
     def __init__(self, setup: StrategySetup):

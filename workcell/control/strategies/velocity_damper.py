@@ -22,12 +22,12 @@ from workcell.control.tick import Steering
 class VelocityDamper:
     """Trades the tool's path for clearance; the path's clock goes on within `deviation_m`."""
 
-    class Options(common.DeviationOptions):
+    class Options(common.DeviationOptions, frozen=True):
         """Options."""
 
         mover: bool = False
         """Whether the others' predicted rates count."""
-        task_weight: float = Field(1e3, gt=0.0)
+        task_weight: float = Field(default=1e3, gt=0.0)
         """w: with 1e3 the tool gives way to least motion by a thousandth."""
 
     def __init__(self, setup: StrategySetup):

@@ -68,9 +68,8 @@ def read(path: Path | str) -> Samples:
     if len(values) < 1:
         raise InputError("has no samples; at least one is needed", file=path)
     faults = list(_number_faults(names, values))
-    sound = np.isfinite(values).all(axis=1) & (np.abs(values[:, 1:]) <= _largest(names)[1:]).all(
-        axis=1
-    )
+    sound = np.isfinite(values).all(axis=1)
+    sound &= np.all(np.abs(values[:, 1:]) <= _largest(names)[1:], axis=1)
     time_s, quaternion = values[:, 0], values[:, 4:8]
     with np.errstate(invalid="ignore", over="ignore"):
         falls = (np.diff(time_s) <= 0) & np.isfinite(time_s[1:]) & np.isfinite(time_s[:-1])

@@ -126,7 +126,8 @@ def _edges(corners: NDArray[np.float64]) -> NDArray[np.intp]:
         faces = ConvexHull(corners).simplices
     except QhullError:
         return np.stack(np.triu_indices(len(corners), 1), axis=1)
-    return np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return np.unique(edges, axis=0).astype(np.intp)
 
 
 def _corners(points: NDArray[np.float64]) -> NDArray[np.float64]:
