@@ -32,7 +32,7 @@ TABLES: dict[str, type[BaseModel]] = {
         for table in (
             scenario.Scenario, scenario.Simulation, scenario.Control, scenario.Check, scenario.View,
             scenario.Sabotage, scenario.Arm, scenario.Waypoint, scenario.Stream, scenario.Obstacle,
-            scenario.Instrument, scenario.Change, scenario.Bound, scenario.Variation,
+            scenario.Instrument, scenario.Ignore, scenario.Change, scenario.Bound, scenario.Variation,
         )
     },
 }  # fmt: skip

@@ -294,6 +294,7 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         "final_check": ending.check or {"state": "off"},
         "watched_pairs": len(cell.pairs),
         "omitted_pairs": [list(pair) for pair in cell.pairs.omitted],
+        "ignored_pairs": [list(pair) for pair in cell.pairs.ignored],
         "notes": list(cell.notes),
         "versions": versions(cell.scenario),
     }

@@ -33,6 +33,8 @@ def report(summary: dict, folder: Path) -> None:
         )
     if summary["expectations"]:
         stdout.print(table)
+    for one, other, reason in summary.get("ignored_pairs", ()):
+        stderr.print(f"NOT held apart: {one} and {other} ({reason}); you answer for it")
     for sentence in summary.get("why", ()):
         stderr.print(sentence)
     stdout.print(

@@ -56,6 +56,7 @@ def check_settings(cell: Cell) -> CheckSettings:
             tuple(cell.model.body(body).name for body in sorted(hand_bodies(cell.model, arm)))
             for arm in cell.arms
         ),
+        ignored=tuple((*entry.pair, entry.reason) for entry in scenario.ignore),
         home=tuple(start.qpos.tolist()),
         release_s=MEETING_S,
     )

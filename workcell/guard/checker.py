@@ -63,6 +63,7 @@ class Checker:
                 settings.instruments,
                 settings.hands,
                 settings.home,
+                settings.ignored,
             )
         except InputError as error:
             raise InputError(error.faults, file=scene_xml) from error

@@ -75,6 +75,7 @@ def choose_pairs(
     instruments: tuple[Held, ...] = (),
     hands: tuple[tuple[str, ...], ...] = (),
     home: tuple[float, ...] = (),
+    ignored: tuple[tuple[str, str, str], ...] = (),
 ) -> PairTable:
     """Decides every pair of bodies once.
 
@@ -87,6 +88,7 @@ def choose_pairs(
         hands: For each arm, the bodies that touch what it holds.
         home: (nq,) positions of all joints at the start; empty for the model's own zero pose,
             brought into the joint ranges.
+        ignored: Names of geoms or bodies that are not held apart, and why.
 
     Raises:
         InputError: If an exemption, instrument or hand names a geom or body that no piece has, or
@@ -125,6 +127,12 @@ def choose_pairs(
     reason = "the first moving link turns next to what its base stands on"
     for body_name, name in sorted({(pieces[i].body_name, pieces[k].name) for i, k in let_off}):
         left_out.append(LeftOut(body_name, name, reason, by_name=True))
+    for one, other, why in ignored:
+        sides = [_names(pieces, name) for name in (one, other)]
+        both = np.outer(sides[0], sides[1])
+        if (watched & (both | both.T)).any():
+            watched &= ~(both | both.T)
+            left_out.append(LeftOut(one, other, f"ignored: {why}", by_name=True))
     for index, support in resting:
         watched[index, support] = watched[support, index] = False
         reason = "the instrument lies on it"
@@ -300,6 +308,11 @@ def _lifted(
     if not lifted.any():
         raise InputError(f"{key}: none of its pairs is watched, so there is nothing to exempt")
     return lifted
+
+
+def _names(pieces: tuple[Piece, ...], name: str) -> NDArray[np.bool_]:
+    """(n,) pieces of this name, or of a body of this name."""
+    return np.array([name in (piece.name, piece.body_name) for piece in pieces], dtype=bool)
 
 
 def _is_named(piece: Piece, pattern: str) -> bool:

@@ -115,6 +115,8 @@ class CheckSettings:
     """Loose bodies that arms can hold."""
     hands: tuple[tuple[str, ...], ...] = ()
     """For each of `arms`, the bodies that touch what it holds; needed if there are instruments."""
+    ignored: tuple[tuple[str, str, str], ...] = ()
+    """Pairs of geoms or bodies, by name, that are not held apart, each with the user's reason."""
     home: tuple[float, ...] = ()
     """(nq,) positions of all joints at the start, which decide with others what overlaps by design."""
     release_s: float = 60.0
@@ -194,6 +196,7 @@ class CheckSettings:
         fields = json.loads(text)
         fields["arms"] = tuple(fields["arms"])
         fields["home"] = tuple(fields["home"])
+        fields["ignored"] = tuple(tuple(entry) for entry in fields["ignored"])
         exemptions = []
         for item in fields["exemptions"]:
             sides = {side: tuple(item.pop(side)) for side in ("geoms_i", "geoms_j")}

@@ -3,7 +3,7 @@
 A solid is a geom of the housings (group 2), or of a body without any whatever is not a watched capsule
 (group 4), or its capsules if it has nothing else. Not judged, since they touch by design: bodies of one arm
 fewer than three joints apart, or overlapping in the model's reference pose; the first moving link and what
-its base stands on; what the model excludes; an instrument and what it lies on; and, while it is held
+its base stands on; what the model excludes or the scenario ignores; an instrument and what it lies on; and, while it is held
 and until it has been clear once, an instrument and the hand.
 """
 
@@ -46,6 +46,7 @@ class JudgedScene:
         self.support = tuple(arm for arm in self.arms if self.about[arm].get("job"))
         """Arms that do jobs; the others are driven by people."""
         self.instruments = {item["name"]: item for item in settings.get("instrument", [])}
+        self._ignore = settings.get("ignore", [])
         self.tool_site = {
             arm: model.site(f"{arm}/{self.about[arm]['tool_site']}").id for arm in self.arms
         }
@@ -100,7 +101,7 @@ class JudgedScene:
             ):
                 continue
             found += pairs
-        by_design = self._standing(reference, of_body) | self._resting()
+        by_design = self._standing(reference, of_body) | self._resting() | self._ignored()
         kept = [pair for pair in found if frozenset(pair) not in by_design]
         return np.array(kept, dtype=np.intp).reshape(-1, 2)
 
@@ -161,6 +162,19 @@ class JudgedScene:
                     for g in base
                 ):
                     found |= {frozenset((g, ground)) for g in first}
+        return found
+
+    def _ignored(self) -> set[frozenset[int]]:
+        """Solids that the scenario leaves out by name."""
+        model = self.model
+        named = [{model.geom(g).name, model.body(model.geom_bodyid[g]).name} for g in self.solids]
+        found = set()
+        for entry in self._ignore:
+            sides = [
+                [g for g, names in zip(self.solids, named, strict=True) if name in names]
+                for name in entry["pair"]
+            ]
+            found |= {frozenset((g, h)) for g in sides[0] for h in sides[1]}
         return found
 
     def _resting(self) -> set[frozenset[int]]:

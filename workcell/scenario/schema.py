@@ -183,6 +183,13 @@ class Instrument(Table):
         return self
 
 
+class Ignore(Table):
+    """A pair of parts that nobody holds apart: neither the controller nor the final check. The user answers for it."""
+
+    pair: tuple[Label, Label]
+    reason: Annotated[Label, Field(min_length=1)]
+
+
 class Bound(Table):
     """What a metric of the summary must be: an exact value, or a range."""
 
@@ -306,6 +313,7 @@ class Scenario(Table):
     arm: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=MOST_ARMS)]
     obstacle: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_THINGS)] = ()
     instrument: Annotated[tuple[Instrument, ...], Field(max_length=MOST_THINGS)] = ()
+    ignore: Annotated[tuple[Ignore, ...], Field(max_length=MOST_THINGS)] = ()
     change: Annotated[tuple[Change, ...], Field(max_length=MOST_ENTRIES)] = ()
     strategy: dict[Label, dict[str, Any]] = Field(default_factory=dict, max_length=MOST_ENTRIES)
     expect: dict[Label, Annotated[Bound, BeforeValidator(_as_bound)]] = Field(

@@ -89,7 +89,12 @@ def build(scenario: Scenario, folder: Path) -> Cell:
         fidelity.compare(bare, part.name, part.file, part.form, part.home)
     arms = arm_addresses(bare, scenario, composed.arms)
     instruments = instrument_addresses(bare, scenario)
-    pairs = watched_pairs(bare, arms, instruments, arms_digest=composed.arms_digest)
+    try:
+        pairs = watched_pairs(
+            bare, arms, instruments, arms_digest=composed.arms_digest, ignore=scenario.ignore
+        )
+    except InputError as error:
+        raise InputError(error.faults, file=scenario.file) from error
     compose.add_sensors(composed, pairs.names, SENSOR_CUTOFF_M)
     model = compose.export(composed, folder)
     return Cell(
@@ -105,6 +110,7 @@ def build(scenario: Scenario, folder: Path) -> Cell:
         notes=(
             *(note for part in composed.arms for note in part.notes),
             *(note for arm in arms for note in arm.assumed),
+            *(f"NOT held apart: {g} and {h} ({why})" for g, h, why in pairs.ignored),
         ),
     )
 

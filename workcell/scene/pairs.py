@@ -6,6 +6,7 @@ and an arm against itself. A pair is left out only for a written reason:
 * `static`: no joint lies between the two geoms, or none changes their distance;
 * `neighbours`: within one arm, at most `NEIGHBOUR_JOINTS` joints apart, where housings interlock by design;
 * `excluded`: within one arm, whose file excludes the two bodies by name (contact/exclude);
+* `ignored`: the scenario says so (`[[ignore]]`), and gives its own reason;
 * `rests`: an instrument and the obstacle it lies on;
 * `apart`: within one arm, never nearer than `APART_M` in the sampled poses.
 """
@@ -20,6 +21,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.errors import InputError, did_you_mean
+from workcell.scenario import Ignore
 from workcell.scene.addresses import ArmAddresses, InstrumentAddresses, arm_of_geom
 
 NEIGHBOUR_JOINTS = 2
@@ -48,6 +51,8 @@ class WatchedPairs:
     """(P,) names of the arms or instruments the two geoms belong to; None is the static surroundings."""
     omitted: tuple[tuple[str, str, str], ...]
     """Every pair left out: geom, geom, reason."""
+    ignored: tuple[tuple[str, str, str], ...] = ()
+    """Those of them that only the scenario leaves out: the user answers for them."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -59,6 +64,7 @@ def watched_pairs(
     instruments: tuple[InstrumentAddresses, ...] = (),
     *,
     arms_digest: str | None = None,
+    ignore: tuple[Ignore, ...] = (),
 ) -> WatchedPairs:
     """Make the list for a compiled scene (sensors not needed).
 
@@ -67,6 +73,10 @@ def watched_pairs(
         arms: All of its arms.
         instruments: All of its instruments.
         arms_digest: Equal for the same arms, wherever they stand; what is found of their self pairs is kept by it.
+        ignore: Pairs that the scenario leaves out.
+
+    Raises:
+        InputError: `ignore` names what is not in the scene, or a pair that is not watched anyway.
 
     An instrument is watched against every arm and the surroundings all the time; who answers for
     such a pair, and whether it counts at all, depends on who holds it (control/grasp.py).
@@ -98,6 +108,8 @@ def watched_pairs(
             omitted.append((model.geom(g).name, model.geom(h).name, reason))
     kept += loose
     omitted += rests
+    kept, ignored = _without_ignored(model, kept, ignore)
+    omitted += ignored
     owner = {g: arm.name for arm in arms for g in arm.geoms} | {
         item.geom: item.name for item in instruments
     }
@@ -106,7 +118,47 @@ def watched_pairs(
         names=tuple((model.geom(g).name, model.geom(h).name) for g, h in kept),
         owners=tuple((owner[g], owner.get(h)) for g, h in kept),
         omitted=tuple(omitted),
+        ignored=tuple(ignored),
     )
+
+
+def _without_ignored(
+    model: mujoco.MjModel, kept: list[tuple[int, int]], ignore: tuple[Ignore, ...]
+) -> tuple[list[tuple[int, int]], list[tuple[str, str, str]]]:
+    """The pairs that are left, and those that the scenario leaves out."""
+    ignored: list[tuple[str, str, str]] = []
+    faults: list[str] = []
+    names = {
+        g: {model.geom(g).name, model.body(model.geom_bodyid[g]).name} for g in range(model.ngeom)
+    }
+    known = {name for both in names.values() for name in both}
+    for index, entry in enumerate(ignore):
+        unknown = [name for name in entry.pair if name not in known]
+        if unknown:
+            faults.append(
+                f"ignore.{index}.pair: no body or geom of the scene is named {unknown[0]!r}"
+                f"{did_you_mean(unknown[0], known) or '; allowed: ' + ', '.join(sorted(known - {''}))}"
+            )
+            continue
+        one, other = entry.pair
+        off = {
+            (g, h)
+            for g, h in kept
+            if (one in names[g] and other in names[h]) or (one in names[h] and other in names[g])
+        }
+        if not off:
+            faults.append(
+                f"ignore.{index}.pair = {list(entry.pair)}: none of these is watched; leave it out"
+            )
+        ignored += [
+            (model.geom(g).name, model.geom(h).name, f"ignored: {entry.reason}")
+            for g, h in kept
+            if (g, h) in off
+        ]
+        kept = [pair for pair in kept if pair not in off]
+    if faults:
+        raise InputError(faults)
+    return kept, ignored
 
 
 def _instrument_pairs(
