@@ -13,6 +13,7 @@ from pathlib import Path
 import mujoco
 
 from workcell.control import feasible, meeting_reach
+from workcell.control.steering import Strategies
 from workcell.errors import InputError, refused
 from workcell.guard.check_setup import refusal, try_checker
 from workcell.guard.checker import Checker
@@ -55,7 +56,14 @@ def admit(scenario: Scenario, folder: Path) -> Admission:
         cell = scene.build(scenario, folder)
     _enough(cell)
     scene.check_start(cell)
-    _all_of(scenario, [lambda: feasible.check(cell), lambda: meeting_reach.check(cell)])
+    _all_of(
+        scenario,
+        [
+            lambda: feasible.check(cell),
+            lambda: meeting_reach.check(cell),
+            lambda: _strategies_can_be_made(cell),
+        ],
+    )
     checker = None
     if scenario.check.enabled:
         checker = try_checker(cell, folder / SCENE_FILE)
@@ -75,6 +83,10 @@ def _all_of(scenario: Scenario, checks: Iterable[Callable[[], None]]) -> None:
             faults += error.faults
     if faults:
         raise InputError(faults, file=scenario.file)
+
+
+def _strategies_can_be_made(cell: Cell) -> None:
+    Strategies(cell)
 
 
 def _enough(cell: Cell) -> None:

@@ -11,12 +11,11 @@ on for `CRITERIA`, `OPERATORS`, `DEVICES`.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -25,7 +24,7 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
-from workcell.errors import InputError
+from workcell.errors import InputError, did_you_mean
 
 Kind = Literal["strategies", "criteria", "operators", "devices"]
 KINDS: tuple[Kind, ...] = ("strategies", "criteria", "operators", "devices")
@@ -124,11 +123,35 @@ def find(kind: Kind, name: str) -> Plugin:
     there = known(kind)
     if name in there:
         return there[name]
-    near = difflib.get_close_matches(name, there, n=1)
-    hint = f", did you mean {near[0]!r}?" if near else ";"
     raise InputError(
-        f"unknown {SINGULAR[kind]} {name!r}{hint} known here: {', '.join(sorted(there)) or 'none'}"
+        f"unknown {SINGULAR[kind]} {name!r}; known here: {', '.join(sorted(there)) or 'none'}"
+        + did_you_mean(name, there)
     )
+
+
+def make(
+    kind: Kind, name: str, setup: Callable[[Any], object], given: Mapping[str, Any] | None = None
+) -> Any:
+    """An instance of a plug-in, made as every plug-in is: called once with its set-up.
+
+    Args:
+        kind, name: Which plug-in.
+        setup: Gives the set-up for the validated options (None for a plug-in without options).
+        given: The options' table of the scenario.
+
+    Raises:
+        InputError: There is no such plug-in, it does not take the options, or making it raised; the
+            message names it.
+    """
+    chosen = setup(options(kind, name, given or {}))
+    try:
+        return load(kind, name)(chosen)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{SINGULAR[kind]} {name!r} cannot be made: {type(error).__name__}: {error}"
+        ) from error
 
 
 def options(kind: Kind, name: str, given: Mapping[str, Any]) -> Any:
@@ -159,6 +182,10 @@ def options(kind: Kind, name: str, given: Mapping[str, Any]) -> Any:
                 f"{SINGULAR[kind]}.{name}.{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
                 for fault in error.errors()
             ]
+        ) from error
+    except Exception as error:  # code of the plug-in's own, such as a validator
+        raise InputError(
+            f"{SINGULAR[kind]}.{name}: its options cannot be judged: {type(error).__name__}: {error}"
         ) from error
 
 

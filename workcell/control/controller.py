@@ -61,7 +61,7 @@ class Controller:
         self._support = sorted(support, key=lambda arm: arm.addresses.priority)
         self._order = [*self._support, *(arm for arm in self._arms if not arm.support)]
         self._setpoints = Setpoints(cell, self._arms, self._sensing)
-        self._strategies = Strategies(cell, self._arms)
+        self._strategies = Strategies(cell)
         self._passage = Passage(cell)
         pair_assignment.assign(cell, self.grasps, self._sensing.watched, self._arms)
         self._record: TickRecord | None = None

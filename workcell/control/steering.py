@@ -8,7 +8,7 @@ joints can and stays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from workcell.control.strategies.ttc import OperatorStrategy
 from workcell.control.strategy import ArmView, CellView, StrategySetup
 from workcell.control.tick import Steering
 from workcell.guard.halt import brake
+from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
 
 FAULT = "strategy_fault"
@@ -32,17 +33,16 @@ class Strategies:
 
     Args:
         cell: The cell.
-        arms: Its arms.
 
     Raises:
         InputError: A strategy is unknown or cannot be made.
     """
 
-    def __init__(self, cell: Cell, arms: Sequence[ControlledArm]):
+    def __init__(self, cell: Cell):
         self.faults: list[str] = []
         self._cell = cell
         self._lost: set[str] = set()
-        self._names = {arm.name: strategy_of(cell, arm.name) for arm in arms}
+        self._names = {arm.name: strategy_of(cell, arm.name) for arm in cell.arms}
         self._together: Any = None
         self._answers: dict[str, Steering] = {}
         self._each: dict[str, Any] = {}
@@ -50,25 +50,28 @@ class Strategies:
         if hasattr(common, "steer_all"):
             name = cell.scenario.control.strategy
             self._names = dict.fromkeys(self._names, name)
-            self._together = self._make(arms[0], name)
+            self._together = self._make(cell.arms[0], name)
             return
-        for arm in arms:
+        for arm in cell.arms:
             self._each[arm.name] = (
                 self._make(arm, self._names[arm.name]) if arm.support else OperatorStrategy()
             )
 
-    def _make(self, arm: ControlledArm, name: str) -> Any:
+    def _make(self, arm: ArmAddresses, name: str) -> Any:
         scenario = self._cell.scenario
-        setup = StrategySetup(
-            settings=scenario.control,
-            period_s=self._cell.period_s,
-            limits=arm.addresses,
-            options=plugins.options("strategies", name, scenario.strategy.get(name, {})),
-            model=self._cell.model,
-            pair_geoms=np.asarray(self._cell.pairs.geoms, dtype=np.intp).reshape(-1, 2),
-            factor_multiplier=scenario.sabotage.factor_multiplier,
-        )
-        return plugins.load("strategies", name)(setup)
+
+        def setup(options: Any) -> StrategySetup:
+            return StrategySetup(
+                settings=scenario.control,
+                period_s=self._cell.period_s,
+                limits=arm,
+                options=options,
+                model=self._cell.model,
+                pair_geoms=np.asarray(self._cell.pairs.geoms, dtype=np.intp).reshape(-1, 2),
+                factor_multiplier=scenario.sabotage.factor_multiplier,
+            )
+
+        return plugins.make("strategies", name, setup, scenario.strategy.get(name))
 
     def begin(self, views: Mapping[str, ArmView], watched: Watched) -> None:
         """A tick begins: ask a strategy of the whole cell, if there is one."""

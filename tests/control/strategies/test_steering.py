@@ -71,7 +71,7 @@ def test_an_arm_may_have_a_strategy_of_its_own_with_options(tmp_path):
     [
         (
             "control.strategy=cbff",
-            r"control\.strategy: unknown strategy 'cbff', did you mean 'cbf'\?",
+            r"control\.strategy: unknown strategy 'cbff'; known here: .*; did you mean 'cbf'\?",
         ),
         ("arm.surgeon.strategy=cbf", r"arm\.surgeon\.strategy: only an arm with jobs"),
         ("strategy={cbf={deviation_m=-1.0}}", r"strategy\.cbf\.deviation_m: .*greater than 0"),
@@ -125,3 +125,19 @@ def test_a_scenario_file_cannot_make_code_run(tmp_path):
     with pytest.raises(InputError):
         crossing(f"strategy={{evil={{plugin='{evil}'}}}}")
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("class Bad:\n    def __init__(self, setup): raise KeyError('what')", "KeyError: 'what'"),
+        ("Bad = 3", "'int' object is not callable"),
+        ("def Bad(): ...", "takes 0 positional arguments"),
+    ],
+)
+def test_a_strategy_that_cannot_be_made_is_refused_before_the_run(text, said, tmp_path):
+    (tmp_path / "bad.py").write_text(f"{text}\nSTRATEGIES = {{'bad': Bad}}\n")
+    plugins.use_files([tmp_path / "bad.py"])
+    with pytest.raises(InputError, match=f"strategy 'bad' cannot be made: .*{said}"):
+        runner.run(crossing("control.strategy=bad"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()

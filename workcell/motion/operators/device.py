@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell import plugins, scenario
-from workcell.errors import ControlFault, InputError
+from workcell.errors import ControlFault
 from workcell.motion.operators.live import LiveOperator
 from workcell.motion.operators.samples import Sample
 from workcell.motion.setpoint import Setpoint
@@ -67,20 +67,17 @@ class DeviceOperator:
     ):
         self._name, self._period_s = str(settings.device), period_s
         self._live = LiveOperator(settings, position_m, wxyz, period_s=period_s)
-        setup = DeviceSetup(
-            arm=arm,
-            position_m=np.array(position_m, dtype=float),
-            wxyz=np.array(wxyz, dtype=float),
-            options=plugins.options("devices", self._name, settings.device_options),
+        self._device: Device = plugins.make(
+            "devices",
+            self._name,
+            lambda options: DeviceSetup(
+                arm=arm,
+                position_m=np.array(position_m, dtype=float),
+                wxyz=np.array(wxyz, dtype=float),
+                options=options,
+            ),
+            settings.device_options,
         )
-        try:
-            self._device: Device = plugins.load("devices", self._name)(setup)
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(
-                f"device {self._name!r} cannot be made: {type(error).__name__}: {error}"
-            ) from error
 
     def setpoint(self, time_s: float) -> Setpoint:
         """See `workcell.motion.setpoint.Operator`.

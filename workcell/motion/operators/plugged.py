@@ -70,22 +70,19 @@ class PluggedOperator:
         random: np.random.Generator,
     ):
         self._name, self._period_s = settings.name, period_s
-        setup = OperatorSetup(
-            arm=arm,
-            position_m=np.array(position_m, dtype=float),
-            wxyz=np.array(wxyz, dtype=float),
-            period_s=period_s,
-            random=random,
-            options=plugins.options("operators", settings.name, settings.options),
+        self._operator: Operator = plugins.make(
+            "operators",
+            settings.name,
+            lambda options: OperatorSetup(
+                arm=arm,
+                position_m=np.array(position_m, dtype=float),
+                wxyz=np.array(wxyz, dtype=float),
+                period_s=period_s,
+                random=random,
+                options=options,
+            ),
+            settings.options,
         )
-        try:
-            self._operator: Operator = plugins.load("operators", settings.name)(setup)
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(
-                f"operator {settings.name!r} cannot be made: {type(error).__name__}: {error}"
-            ) from error
 
     def setpoint(self, time_s: float) -> Setpoint:
         """See `workcell.motion.setpoint.Operator`.
