@@ -90,7 +90,7 @@ def test_one_that_cannot_be_made_or_is_unknown_is_refused():
     with pytest.raises(Exception, match="device 'glove' cannot be made: OSError: no glove"):
         play("missing")
     for settings, said in (
-        ({"device": "glov"}, "unknown device 'glov', did you mean 'glove'"),
+        ({"device": "glov"}, "unknown device 'glov'; known here: glove; did you mean 'glove'"),
         ({"device": "glove", "device_options": {"size": 1}}, r"device\.glove\.size: Extra"),
         ({"device_options": {"size": 1}}, "device_options needs a device"),
     ):

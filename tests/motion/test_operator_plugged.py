@@ -99,7 +99,9 @@ def test_one_that_gives_no_first_setpoint_is_refused_before_the_run(tmp_path):
 
 
 def test_unknown_names_and_options_are_refused_with_the_known_ones(tmp_path):
-    with pytest.raises(InputError, match=r"unknown operator 'cirle'; known here: circle; did you mean 'circle'\?"):
+    with pytest.raises(
+        InputError, match=r"unknown operator 'cirle'; known here: circle; did you mean 'circle'\?"
+    ):
         scenario_of(tmp_path, name="cirle")
     with pytest.raises(InputError, match=r"operator\.circle\.radius: Extra inputs"):
         scenario_of(tmp_path, options={"radius": 1})

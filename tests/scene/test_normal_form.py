@@ -243,14 +243,35 @@ REFUSED = {
         "world": '<body name="cup"><freejoint name="loose"/><geom size="0.01"/></body>'
     },
     "is not a readable MJCF file": {"more": "<no_such_thing/>"},
+    "geom 'spike': geom_pos = [nan  0.  0.]: is not finite": {
+        "more": '<geom name="spike" size="0.01" pos="nan 0 0" mass="0"/>'
+    },
+    "joint 'free_turn': jnt_range = [-inf  inf]: is not finite": {
+        "more": '<body name="tip"><joint name="free_turn" range="-inf inf"/><geom size="0.01"/></body>'
+    },
+    "= 'bell\\x07': has a character that cannot be printed": {"more": '<site name="bell\x07"/>'},
 }
+
+
+def test_numbers_beyond_those_of_a_type_mean_nothing(tmp_path):
+    """A sphere has one number; files that turn boxes into spheres leave the other two."""
+    leg(tmp_path, more='<geom name="knob" size="0.01 0.02 0.03"/>')
+    cell = cells.build(tmp_path, beside(tmp_path))
+    assert cell.model.geom("arm1/knob").size.tolist() == [0.01, 0.0, 0.0]
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path):
+    path = leg(tmp_path, more='<site name="NAME"/>')
+    path.write_bytes(path.read_bytes().replace(b"NAME", b"b\xe9ta"))
+    with pytest.raises(InputError, match="is not UTF-8 text; write it in UTF-8"):
+        cells.build(tmp_path, beside(tmp_path))
 
 
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_no_cell_can_carry_is_refused_by_name(tmp_path, words):
     leg(tmp_path, **REFUSED[words])
     content = beside(tmp_path)
-    if "is of type ball" in words or "is of type free" in words:
+    if any(kind in words for kind in ("is of type ball", "is of type free", "free_turn")):
         content["arm"][1]["home_rad"] = [0.4, 0.5, 0.0]
     with pytest.raises(InputError) as refused:
         cells.build(tmp_path, content)

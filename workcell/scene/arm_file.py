@@ -18,6 +18,7 @@ import numpy as np
 
 from workcell.errors import InputError
 from workcell.scene.content import digest as content_digest
+from workcell.scene.not_carried import namer, not_carried
 
 KEPT = 8
 """Arm files, and skeletons, that are kept; chosen larger than the number any one study has."""
@@ -108,7 +109,7 @@ def _read(path: Path, digest: str) -> ArmFile:
         raise InputError(
             f"is not a readable MJCF file: {str(error).strip()}; mend it until `python -m mujoco.viewer --mjcf={path}` shows it"
         ) from error
-    faults = list(_not_carried(model))
+    faults = list(not_carried(model))
     if faults:
         raise InputError(faults)
     bodies = _names(model, mujoco.mjtObj.mjOBJ_BODY, model.nbody, lambda k: f"body{k}")
@@ -168,41 +169,6 @@ def _names(
     return tuple(given)
 
 
-def _not_carried(model: mujoco.MjModel) -> Iterator[str]:
-    """Parts that no cell can carry, each by name with what to do."""
-    name = _namer(model)
-    for body in range(model.nbody):
-        if model.body_mocapid[body] >= 0:
-            yield (
-                f"body {name('BODY', body)!r} is a mocap body, which a controller outside this cell would move; "
-                "remove it (an operator's target is not part of the arm)"
-            )
-        if model.body_plugin[body] >= 0:
-            yield f"body {name('BODY', body)!r} is moved by a plugin, which a cell does not carry; remove it"
-    for geom in range(model.ngeom):
-        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-        if kind in (mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF):
-            yield (
-                f"geom {name('GEOM', geom)!r} is of type {kind.name.removeprefix('mjGEOM_').lower()}, to which no distance can be measured; "
-                "make it a mesh or a primitive"
-            )
-    for flex in range(model.nflex):
-        yield f"flex {name('FLEX', flex)!r} is deformable, which a cell does not carry; remove it"
-    for joint in range(model.njnt):
-        dof = int(model.jnt_dofadr[joint])
-        if np.any(model.jnt_stiffnesspoly[joint]) or np.any(model.dof_dampingpoly[dof]):
-            yield (
-                f"joint {name('JOINT', joint)!r} has polynomial stiffness or damping, which a cell does not carry; "
-                "give one number"
-            )
-    for actuator in range(model.nactuator):
-        if model.actuator_damping[actuator] or model.actuator_armature[actuator]:
-            yield (
-                f"actuator {name('ACTUATOR', actuator)!r} adds damping or armature of its own, which a cell does not carry; "
-                "give them to the joint"
-            )
-
-
 def _neutralised(model: mujoco.MjModel) -> Iterator[str]:
     """What the file sets for a whole model, and what stands in it that a cell has itself."""
     usual = mujoco.MjOption()
@@ -213,7 +179,7 @@ def _neutralised(model: mujoco.MjModel) -> Iterator[str]:
             said.append(f"{key} = {_as_text(key, own)}")
     if said:
         yield f"option {', '.join(said)}: not used, the cell has its own"
-    name = _namer(model)
+    name = namer(model)
     planes = [
         name("GEOM", geom)
         for geom in range(model.ngeom)
@@ -237,13 +203,3 @@ def _as_text(key: str, value: object) -> str:
     if key in _NAMES_OF_OPTIONS:
         return _NAMES_OF_OPTIONS[key](int(value)).name.split("_", 1)[1]  # type: ignore[arg-type]
     return np.array2string(np.asarray(value), separator=" ", precision=6)
-
-
-def _namer(model: mujoco.MjModel) -> Callable[[str, int], str]:
-    """A function that gives an object's name by kind and number, or its number where it has none."""
-
-    def name(kind: str, number: int) -> str:
-        found = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), number)
-        return found or f"number {number}"
-
-    return name

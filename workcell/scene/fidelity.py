@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.scene.arm_file import ArmFile
-from workcell.scene.normal_form import NormalForm
+from workcell.scene.normal_form import SIZES, NormalForm
 
 TOLERANCE = 1e-9
 """m, rad (as a difference of rotation matrices), kg and kg m²: far above rounding, far below what anyone could measure."""
@@ -158,8 +158,12 @@ def _geoms(model, data, name, file: ArmFile, alone) -> Iterator[str]:
                 getattr(data, field)[geom],
                 getattr(alone, field)[number],
             )
+        # MuJoCo keeps what a file says beyond the numbers that a type has: a radius with two more is a sphere.
+        _, sizes = SIZES[int(kind)]
         yield from _differs(
-            f"size of geom {geom_name}", model.geom_size[geom], file.model.geom_size[number]
+            f"size of geom {geom_name}",
+            model.geom_size[geom, :sizes],
+            file.model.geom_size[number, :sizes],
         )
 
 

@@ -27,7 +27,7 @@ from workcell.scene.arm_file import (
 )
 
 _GEOM = mujoco.mjtGeom
-_SIZES = {
+SIZES = {
     int(_GEOM.mjGEOM_SPHERE): ("sphere", 1),
     int(_GEOM.mjGEOM_CAPSULE): ("capsule", 2),
     int(_GEOM.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
@@ -215,7 +215,7 @@ class _Writer:
         model = self.model
         if model.geom_type[geom] == _GEOM.mjGEOM_PLANE:
             return
-        kind, sizes = _SIZES[int(model.geom_type[geom])]
+        kind, sizes = SIZES[int(model.geom_type[geom])]
         # A collision here is a verdict of the checks, not a bounce: contacts would only blur it.
         new = etree.SubElement(
             element,
@@ -238,7 +238,7 @@ class _Writer:
 
     def _site(self, element: etree._Element, site: int) -> None:
         model = self.model
-        kind, sizes = _SIZES.get(int(model.site_type[site]), ("sphere", 1))
+        kind, sizes = SIZES.get(int(model.site_type[site]), ("sphere", 1))
         new = etree.SubElement(
             element,
             "site",
