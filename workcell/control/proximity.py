@@ -1,7 +1,7 @@
 """Distances of watched geom pairs and their Jacobian (docs/theory.md sections 1, 2).
 
-In: a MuJoCo model whose `fromto` sensors hold the witness points of each pair, and data on which
-kinematics and sensors were computed. Out: signed distance d, direction n, witness points, the
+In: a MuJoCo model, whose `fromto` sensors hold the witness points of each pair or which is asked for them pair by
+pair, and data on which kinematics (and sensors) were computed. Out: signed distance d, direction n, witness points, the
 Jacobian G = dd/dq of every pair (paper equations 3 to 5). The arithmetic is `laws.distance`.
 """
 
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from workcell.control.finite import finite
 from workcell.control.laws import distance as laws
 from workcell.errors import InputError, WorkcellError
+from workcell.scene.pairs import SENSOR_CUTOFF_M
 
 Array = NDArray[np.float64]
 
@@ -66,16 +67,25 @@ class PairGeometry:
         pairs: Geom ids (i, j) of each pair: spheres, capsules, planes, boxes, cylinders,
             ellipsoids and meshes (of which MuJoCo takes the convex hull).
         sensor_adr: Address in `sensordata` (P,) of each pair's `fromto` sensor, whose geoms are i
-            and j in this order, and whose cutoff exceeds every distance that can occur.
+            and j in this order, and whose cutoff exceeds every distance that can occur. None for a model
+            without such sensors: every measurement then searches for the witness points itself, with
+            the same result.
 
     Raises:
         InputError: A pair cannot be measured: all faults at once, naming the geoms.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, pairs: Sequence[tuple[int, int]], sensor_adr: ArrayLike
+        self,
+        model: mujoco.MjModel,
+        pairs: Sequence[tuple[int, int]],
+        sensor_adr: ArrayLike | None = None,
     ):
         self.geom = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        self._searched_m: Array | None = None
+        if sensor_adr is None:
+            self._searched_m = np.zeros((len(self.geom), 6))
+            sensor_adr = 6 * np.arange(len(self.geom))
         self.sensor_adr = np.array(sensor_adr, dtype=np.int64).reshape(-1)
         self.body = model.geom_bodyid[self.geom].astype(np.int64)
         self.radius_m, self.half_length_m = _core(model, self.geom)
@@ -91,9 +101,19 @@ class PairGeometry:
         if faults:
             raise InputError(faults)
         for value in vars(self).values():
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and value is not self._searched_m:
                 value.setflags(write=False)
+        self.model = model
         self._state: PairState | None = None
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether the witness points come from sensors of the model."""
+        return self._searched_m is None
+
+    def witness_points(self, data: mujoco.MjData) -> Array:
+        """The array from which the laws read six numbers for each pair, at `sensor_adr`."""
+        return data.sensordata if self._searched_m is None else self._searched_m.reshape(-1)
 
     def state(self, data: mujoco.MjData) -> PairState:
         """The arrays that the laws read and write for this data, kept from call to call."""
@@ -108,7 +128,7 @@ class PairGeometry:
         """Distance, direction, witness points and Jacobian of every pair; see `laws.distance.measure`.
 
         Args:
-            data: After `mj_kinematics`, `mj_comPos` and `mj_sensorPos`.
+            data: After `mj_kinematics` and `mj_comPos`, and `mj_sensorPos` where there are sensors.
             kept: Whether the answer may be in arrays that the next call (or `second_order`, for another answer)
                 overwrites, which saves half of the time for a hundred pairs.
 
@@ -116,6 +136,9 @@ class PairGeometry:
             WorkcellError: A pair is beyond its sensor's cutoff, or a result is not finite.
         """
         state = self.state(data)
+        if self._searched_m is not None:
+            for (i, j), points in zip(self.geom.tolist(), self._searched_m, strict=True):
+                mujoco.mj_geomDistance(self.model, data, i, j, SENSOR_CUTOFF_M, points)
         code, pair = laws.measure(*state.measured)
         if code == laws.BEYOND_CUTOFF:
             raise WorkcellError(
@@ -148,7 +171,7 @@ class PairState:
         """The last answer of `laws.distance.measure`."""
         found = self.found
         self.measured: tuple[Any, ...] = (
-            data.sensordata, data.geom_xpos, data.geom_xmat, data.cdof, data.subtree_com,
+            geometry.witness_points(data), data.geom_xpos, data.geom_xmat, data.cdof, data.subtree_com,
             geometry.sensor_adr, geometry.geom, geometry.radius_m, geometry.half_length_m,
             geometry.sign, geometry.dof_root, np.zeros((6, joints)), found.distance_m, found.normal,
             found.witness_i_m, found.witness_j_m, found.surface_i_m, found.surface_j_m,
@@ -205,6 +228,8 @@ def _faults(model: mujoco.MjModel, pairs: PairGeometry) -> list[str]:
             faults.append(f"{name}: heightfields and signed distance fields are not supported")
         if not pairs.sign[k].any():
             faults.append(f"{name}: no joint moves one geom without the other")
+        if not pairs.has_sensors:
+            continue
         sensor = sensor_at.get(int(pairs.sensor_adr[k]))
         if sensor is None or not _reads(model, sensor, int(i), int(j)):
             faults.append(

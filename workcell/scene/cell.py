@@ -18,13 +18,11 @@ from workcell.scene.addresses import (
     arm_addresses,
     instrument_addresses,
 )
-from workcell.scene.pairs import WatchedPairs, watched_pairs
+from workcell.scene.pairs import SENSOR_CUTOFF_M, WatchedPairs, watched_pairs
 
 HELD_GAP_M = 0.02
 """From the tool point to where an instrument held from the start begins; chosen so that hand and instrument are
 no nearer than the default d_min, as after a hand-over, and can part again."""
-SENSOR_CUTOFF_M = 100.0
-"""Beyond the size of any cell: a smaller one would cut distances off in silence."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,9 @@ from workcell.errors import InputError, did_you_mean
 from workcell.scenario import Ignore
 from workcell.scene.addresses import ArmAddresses, InstrumentAddresses, arm_of_geom
 
+SENSOR_CUTOFF_M = 100.0
+"""Beyond the size of any cell: a smaller one would cut distances off in silence."""
+
 NEIGHBOUR_JOINTS = 2
 """Links up to two joints apart share a housing joint (on the PA10: shoulder, elbow and wrist forks)."""
 APART_M = 0.05

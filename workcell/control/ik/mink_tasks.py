@@ -6,6 +6,8 @@ alone. The time-to-collision limit takes the place of mink's own collision limit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mink
 import mujoco
 import numpy as np
@@ -13,10 +15,12 @@ from mink.limits.limit import Constraint
 from mink.tasks.task import BaseTask, Objective
 from numpy.typing import NDArray
 
-from workcell.control.criteria import NullspaceObjective
+from workcell.control.criteria import CRITERIA, CriterionName, NullspaceObjective, objective
+from workcell.control.finite import at_least_zero, joint_indices, positive
 from workcell.control.laws.joint_limits import joint_box
 from workcell.control.laws.pair_rule import smallest_rates
-from workcell.control.proximity import PairGeometry
+from workcell.control.proximity import PairGeometry, Proximity
+from workcell.errors import InputError, did_you_mean
 from workcell.motion.path import Target
 from workcell.scene.addresses import ArmAddresses
 
@@ -91,28 +95,70 @@ class ToolTask(mink.FrameTask):
 class CriterionTask(BaseTask):
     """The null-space criterion and the wish for little motion, as a quadratic cost in q̇.
 
+    Given a geometry it measures the pairs on the configuration's data, rates from its `qvel`; without one its
+    `objective` is set from outside, as the controller does. Put the tool's task beside it as a constraint or
+    with a weight far above 1.
+
     Args:
         dofs: (n,) indices of the arm's joints in the tangent space.
         nv: Size of the tangent space.
-        dt_s: Control period.
-        gain: Weight of the criterion against ½|q̇|².
+        dt_s: Control period, > 0.
+        gain: Weight of the criterion against ½|q̇|², >= 0.
+        geometry: Pairs to be measured; those that none of the joints moves count nothing.
+        criterion: One of `criteria.CRITERIA`, for a geometry.
+
+    Raises:
+        InputError: A value is out of range.
     """
 
-    def __init__(self, dofs: NDArray[np.intp], *, nv: int, dt_s: float, gain: float):
-        self.dofs = dofs
-        self.gain = gain
-        self._dt_s = dt_s
+    def __init__(
+        self,
+        dofs: Sequence[int] | NDArray[np.intp],
+        *,
+        nv: int,
+        dt_s: float,
+        gain: float,
+        geometry: PairGeometry | None = None,
+        criterion: CriterionName = "artc",
+    ):
+        self.dofs = joint_indices(dofs, nv)
+        self.gain = at_least_zero("gain", gain)
+        self.geometry = geometry
+        if criterion not in CRITERIA:
+            raise InputError(
+                f"criterion is {criterion!r}; allowed: {', '.join(CRITERIA)}"
+                + did_you_mean(str(criterion), CRITERIA)
+            )
+        self.criterion: CriterionName = criterion
+        self._dt_s = positive("dt_s", dt_s)
         self._eye = np.zeros((nv, nv))
-        self._eye[dofs, dofs] = 1.0
+        self._eye[self.dofs, self.dofs] = 1.0
         self.objective: NullspaceObjective | None = None
 
     def compute_qp_objective(self, configuration: mink.Configuration) -> Objective:
         """Objective in Δq = q̇ dt, scaled by dt² so that it compares with ½|Δq|²."""
+        wanted = self.objective
+        if self.geometry is not None:
+            wanted = self._of(measured(self.geometry, configuration), configuration)
         H, c = self._eye.copy(), np.zeros(len(self._eye))
-        if self.objective is not None and self.gain > 0.0:
-            H[np.ix_(self.dofs, self.dofs)] += self.gain * self.objective.hessian
-            c[self.dofs] += self.gain * self._dt_s * self.objective.linear
+        if wanted is not None and self.gain > 0.0:
+            H[np.ix_(self.dofs, self.dofs)] += self.gain * wanted.hessian
+            c[self.dofs] += self.gain * self._dt_s * wanted.linear
         return Objective(H, c)
+
+    def _of(self, found: Proximity, configuration: mink.Configuration) -> NullspaceObjective:
+        """The objective of the pairs that the arm moves."""
+        qvel, own = np.array(configuration.data.qvel), found.jacobian[:, self.dofs]
+        moved = np.flatnonzero(own.any(axis=1))
+        others = qvel.copy()
+        others[self.dofs] = 0.0
+        return objective(
+            self.criterion,
+            found.distance_m[moved],
+            found.rate_m_s(qvel)[moved],
+            own[moved],
+            other_rate_m_s=found.rate_m_s(others)[moved],
+        )
 
 
 class JointLimit(mink.Limit):
@@ -162,34 +208,60 @@ class TtcLimit(mink.Limit):
 
     Args:
         geometry: The watched pairs.
-        t_min_s: Smallest time to collision allowed.
-        standoff_m: Distance the time is counted to.
+        t_min_s: Smallest time to collision allowed, > 0.
+        standoff_m: Distance the time is counted to, >= 0.
+
+    Raises:
+        InputError: A value is out of range.
     """
 
     def __init__(
         self, geometry: PairGeometry | None = None, *, t_min_s: float, standoff_m: float = 0.0
     ):
         self.geometry = geometry
-        self.t_min_s = t_min_s
-        self.standoff_m = standoff_m
+        self.t_min_s = positive("t_min_s", t_min_s)
+        self.standoff_m = at_least_zero("standoff_m", standoff_m)
         self._given: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def give(self, jacobian: NDArray[np.float64], smallest_rate_m_s: NDArray[np.float64]) -> None:
-        """Use these rows G q̇ >= bound instead of measuring; (R, nv) and (R,)."""
-        self._given = jacobian, smallest_rate_m_s
+        """Use these rows G q̇ >= bound instead of measuring; (R, nv) and (R,).
+
+        Raises:
+            InputError: They are of other shapes.
+        """
+        rows, bound = np.asarray(jacobian, dtype=float), np.asarray(smallest_rate_m_s, dtype=float)
+        if rows.ndim != 2 or bound.shape != rows.shape[:1]:
+            raise InputError(
+                f"jacobian has shape {rows.shape} and smallest_rate_m_s {bound.shape}; allowed is (R, nv) and (R,)"
+            )
+        self._given = rows, bound
 
     def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> Constraint:
         """-G Δq <= -bound dt."""
         if self._given is not None:
             jacobian, bound = self._given
         elif self.geometry is not None:
-            mujoco.mj_sensorPos(configuration.model, configuration.data)
-            measured = self.geometry.measure(configuration.data)
-            jacobian, bound = measured.jacobian, np.empty(len(measured.distance_m))
+            found = measured(self.geometry, configuration)
+            jacobian, bound = found.jacobian, np.empty(len(found.distance_m))
             others_stand = np.zeros(len(bound))
-            smallest_rates(measured.distance_m, others_stand, self.t_min_s, self.standoff_m, bound)
+            smallest_rates(found.distance_m, others_stand, self.t_min_s, self.standoff_m, bound)
         else:
             raise ValueError("TtcLimit needs either a PairGeometry or rows given beforehand")
         if not len(bound):
             return Constraint()
         return Constraint(G=-jacobian, h=-bound * dt)
+
+
+def measured(geometry: PairGeometry, configuration: mink.Configuration) -> Proximity:
+    """The pairs at a configuration.
+
+    Raises:
+        InputError: The pairs are of another model.
+    """
+    if geometry.model is not configuration.model:
+        raise InputError(
+            "the pairs are of another model than the configuration; watch the model that the Configuration was made from"
+        )
+    if geometry.has_sensors:
+        mujoco.mj_sensorPos(configuration.model, configuration.data)
+    return geometry.measure(configuration.data)
