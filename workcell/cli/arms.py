@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -37,6 +39,13 @@ def import_(
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="JOINT=VALUE", help="hold a joint there; may be given several times"),
     ] = (),
+    part: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(
+            metavar="NAME=TOOL",
+            help="one arm of several in the file, by its tool; give it once for each arm",
+        ),
+    ] = (),
     out: Annotated[
         Path, tyro.conf.arg(metavar="DIR", help="the arm's folder is made in it")
     ] = Path("arms"),
@@ -49,12 +58,53 @@ def import_(
             f"no such arm file: {str(arm_file)!r}; allowed: a path to an MJCF or URDF file"
         )
     wishes = Wishes(name, tool, tool_offset, root, _locks(lock))
+    if part:
+        if tool is not None or root is not None:
+            raise InputError("--part: says what --tool and --root say; allowed is one or the other")
+        return _import_parts(arm_file, _parts(part), wishes, out)
+    from workcell.scene.adapt.starter import scenario_text
+
     adapted = adapt(arm_file, wishes)
     folder = out / adapted.name
+    _write(adapted, arm_file, folder, out)
+    scene = folder / f"{adapted.name}_pair.toml"
+    said = _starter(scene, lambda step_m: scenario_text(adapted, step_m))
+    for line in (scene, said):
+        stdout.print(str(line), markup=False)
+    return OK
+
+
+def _import_parts(arm_file: Path, tools: dict[str, str], wishes, out: Path) -> int:
+    """Adapt several arms of one file, and write a scenario in which all of them stand."""
+    from workcell.scene.adapt.parts import adapt_parts
+    from workcell.scene.adapt.starter import robot_text
+
+    robot = adapt_parts(arm_file, tools, wishes)
+    folder = out / robot.name
+    for name, adapted in robot.parts.items():
+        stdout.print(f"part {name}:", markup=False)
+        _write(adapted, arm_file, folder, out)
+    for line in robot.said:
+        stdout.print(f"done: {line}", markup=False)
+    for near in robot.ignored:
+        still = "; the final check still does" if near.housings_apart else ""
+        stdout.print(
+            f"done: {near.one} and {near.other} are not held apart ([[ignore]]): {near.reason}{still}",
+            markup=False,
+        )
+    scene = folder / f"{robot.name}_cell.toml"
+    said = _starter(scene, lambda step_m: robot_text(robot, step_m))
+    for line in (scene, said):
+        stdout.print(str(line), markup=False)
+    return OK
+
+
+def _write(adapted, original: Path, folder: Path, out: Path) -> None:
+    """Write an adapted arm and its picture, and say what was done."""
     target = folder / f"{adapted.name}.xml"
-    if target.resolve() == arm_file.resolve():
+    if target.resolve() == original.resolve():
         raise InputError(
-            f"--out {out}: would replace the original {arm_file}; choose another folder or --name"
+            f"--out {out}: would replace the original {original}; choose another folder or --name"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,7 +112,6 @@ def import_(
     except OSError as error:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
     pictured = _picture(adapted, folder / f"{adapted.name}.png")
-    said = _starter(adapted, folder / f"{adapted.name}_pair.toml")
     for title, lines in (
         ("done", adapted.did),
         ("guessed", adapted.guessed),
@@ -71,10 +120,8 @@ def import_(
         for line in lines:
             stdout.print(f"{title}: {line}", markup=False)
     stdout.print(f"home_rad = [{', '.join(f'{q:g}' for q in adapted.home_rad)}]", markup=False)
-    for line in (target, pictured, folder / f"{adapted.name}_pair.toml"):
+    for line in (target, pictured):
         stdout.print(str(line), markup=False)
-    stdout.print(said, markup=False)
-    return OK
 
 
 def _picture(adapted, path: Path) -> str:
@@ -105,14 +152,14 @@ def check_arm(path: Path) -> int:
     return FAILED
 
 
-def _starter(adapted, path: Path) -> str:
+def _starter(path: Path, text: Callable[[float | None], str]) -> str:
     """Write the first scenario that can be run, and say which it is."""
     from workcell import run
-    from workcell.scene.adapt.starter import STEPS_M, scenario_text
+    from workcell.scene.adapt.starter import STEPS_M
 
     refused = None
     for step_m in STEPS_M:
-        path.write_text(scenario_text(adapted, step_m), encoding="utf-8")
+        path.write_text(text(step_m), encoding="utf-8")
         try:
             with tempfile.TemporaryDirectory() as scene:
                 run.prepare(scenario_file.load(path), Path(scene))
@@ -121,6 +168,23 @@ def _starter(adapted, path: Path) -> str:
             continue
         return f"first scenario: workcell run {path}"
     return f"first scenario is not ready to run: {refused}"
+
+
+def _parts(texts: tuple[str, ...]) -> dict[str, str]:
+    """NAME=TOOL of the command line."""
+    found = {}
+    for text in texts:
+        name, _, tool = text.partition("=")
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or not tool or name in found:
+            raise InputError(
+                f"--part {text}: allowed is NAME=TOOL, each name once, of letters, digits and _"
+            )
+        found[name] = tool
+    if len(found) < 2:
+        raise InputError(
+            f"--part {texts[0]}: allowed are two parts or more; for one arm use --tool"
+        )
+    return found
 
 
 def _locks(texts: tuple[str, ...]) -> dict[str, float]:

@@ -184,10 +184,11 @@ class Instrument(Table):
 
 
 class Ignore(Table):
-    """A pair of parts that nobody holds apart: neither the controller nor the final check. The user answers for it."""
+    """A pair of parts that the controller does not hold apart, nor the final check unless it is asked to. The user answers for it."""
 
     pair: tuple[Label, Label]
     reason: Annotated[Label, Field(min_length=1)]
+    final_check: bool = False
 
 
 class Bound(Table):

@@ -79,7 +79,7 @@ def watched_pairs(
         ignore: Pairs that the scenario leaves out.
 
     Raises:
-        InputError: `ignore` names what is not in the scene, or a pair that is not watched anyway.
+        InputError: `ignore` names what is not in the scene.
 
     An instrument is watched against every arm and the surroundings all the time; who answers for
     such a pair, and whether it counts at all, depends on who holds it (control/grasp.py).
@@ -149,10 +149,6 @@ def _without_ignored(
             for g, h in kept
             if (one in names[g] and other in names[h]) or (one in names[h] and other in names[g])
         }
-        if not off:
-            faults.append(
-                f"ignore.{index}.pair = {list(entry.pair)}: none of these is watched; leave it out"
-            )
         ignored += [
             (model.geom(g).name, model.geom(h).name, f"ignored: {entry.reason}")
             for g, h in kept

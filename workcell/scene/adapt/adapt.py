@@ -50,6 +50,10 @@ class Wishes:
     root: str | None = None
     """A body: what is not below it is left out."""
     locked: dict[str, float] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
+    """Bodies that are left out with all below them."""
+    only: str | None = None
+    """The one body that is kept with all below it; the arm's base is then the file's, without geometry."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,8 @@ class Adapted:
     """What the file does not say and nothing could tell."""
     reach_m: float
     """Farthest the tool was from the base in the sampled poses."""
+    floor_m: float = 0.0
+    """Height of the floor in the base's frame: 0, or below it where the base reaches lower."""
 
 
 def adapt(path: Path, wishes: Wishes) -> Adapted:
@@ -78,7 +84,9 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
         file = arm_file.read(path)
     except InputError as error:
         raise InputError(error.faults, file=path) from error
-    chain = choose.chain(file, wishes.tool, wishes.root, wishes.locked)
+    chain = choose.chain(
+        file, wishes.tool, wishes.root, wishes.locked, without=wishes.without, only=wishes.only
+    )
     name = wishes.name or choose.name_of(path)
     configuration, said_of_locked = choose.start(file, chain, wishes.locked)
     zero = _pose(file.model, _at_zero(file, configuration, chain.driven))
@@ -127,6 +135,7 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
         guessed=(*chain.guessed, *limits.guessed, *chosen.guessed),
         unknown=(*_unknown(file, chain.driven), *limits.unknown),
         reach_m=chosen.reach_m,
+        floor_m=chosen.floor_m,
     )
 
 

@@ -79,8 +79,24 @@ def name_of(path: Path) -> str:
     return re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_") or "arm"
 
 
-def chain(file: ArmFile, tool: str | None, root: str | None, locked: dict[str, float]) -> Chain:
+def chain(
+    file: ArmFile,
+    tool: str | None,
+    root: str | None,
+    locked: dict[str, float],
+    *,
+    without: tuple[str, ...] = (),
+    only: str | None = None,
+) -> Chain:
     """The chain from root to tool.
+
+    Args:
+        file: The arm file, compiled alone.
+        tool: Site or body; None guesses it.
+        root: Body where the arm begins; None is the file's base.
+        locked: Joints that are held, and where.
+        without: Bodies that are left out with all below them.
+        only: The one body below the root that is kept, with all below it; nothing of what carries it is.
 
     Raises:
         InputError: a name is unknown, nothing moves the tool, or a joint of the chain is no hinge or slide.
@@ -97,7 +113,11 @@ def chain(file: ArmFile, tool: str | None, root: str | None, locked: dict[str, f
             root_body = file.bodies.index(plain(root))
         else:
             faults.append(f"--root {root}: no such body; allowed: {', '.join(file.bodies[1:])}")
-    bodies = {b for b in range(model.nbody) if root_body in _way_up(model, b)}
+    bodies = {b for b in range(model.nbody) if root_body in way_up(model, b)}
+    for name in without:
+        bodies -= {b for b in bodies if file.bodies.index(name) in way_up(model, b)}
+    if only is not None:
+        bodies = {b for b in bodies if file.bodies.index(only) in way_up(model, b)}
     site, body = None, 0
     if tool is None:
         site, body = _guess_tool(file, bodies)
@@ -123,7 +143,7 @@ def chain(file: ArmFile, tool: str | None, root: str | None, locked: dict[str, f
     names = {plain(n) for n in locked}
     driven = [
         j
-        for b in _way_up(model, body)
+        for b in way_up(model, body)
         if b != root_body
         for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
         if file.joints[j] not in names
@@ -139,7 +159,8 @@ def chain(file: ArmFile, tool: str | None, root: str | None, locked: dict[str, f
     return Chain(root_body, bodies, tuple(sorted(driven)), body, site, name, tuple(guessed))
 
 
-def _way_up(model: mujoco.MjModel, body: int) -> list[int]:
+def way_up(model: mujoco.MjModel, body: int) -> list[int]:
+    """A body and all that carry it, the world last."""
     way = [body]
     while body:
         body = int(model.body_parentid[body])
@@ -152,7 +173,7 @@ def _guess_tool(file: ArmFile, bodies: set[int]) -> tuple[int | None, int]:
     model = file.model
 
     def joints(body: int) -> int:
-        return int(sum(model.body_jntnum[b] for b in _way_up(model, body)))
+        return int(sum(model.body_jntnum[b] for b in way_up(model, body)))
 
     for word in _TOOL_WORDS:
         named = [
@@ -193,7 +214,7 @@ def start(
         if j not in chosen.driven and int(model.jnt_bodyid[j]) in chosen.bodies
     ]
     said = [f"locked, mass and geometry merged: {', '.join(held)}"] if held else []
-    left = model.nbody - len(chosen.bodies)
-    if left > 1:
-        said.append(f"{left - 1} bodies that are not below {file.bodies[chosen.root]} are left out")
+    left = set(range(1, model.nbody)) - chosen.bodies - {chosen.root}
+    if left:
+        said.append(f"{len(left)} bodies that are no part of this arm are left out")
     return qpos, said

@@ -5,6 +5,7 @@ Both are found by looking at seeded random poses within the joint ranges.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -12,6 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.scene.adapt.capsules import Capsule
+from workcell.scene.coverage import surface
 from workcell.scene.pairs import NEIGHBOUR_JOINTS
 
 SAMPLES = 200
@@ -45,6 +48,8 @@ class Home:
     q: NDArray[np.float64]
     guessed: tuple[str, ...]
     reach_m: float
+    floor_m: float
+    """Height of the floor in the base's frame."""
 
 
 def poses(model: mujoco.MjModel) -> NDArray[np.float64]:
@@ -97,9 +102,18 @@ def choose(
     model: mujoco.MjModel,
     excluded: Pairs,
     keyframe: tuple[str, NDArray[np.float64]] | None,
+    beside: Callable[[mujoco.MjData], float] | None = None,
 ) -> Home:
-    """The file's keyframe if the arm is clear of itself in it, else the sampled pose with most room to move."""
+    """The file's keyframe if the arm is clear of itself in it, else the sampled pose with most room to move.
+
+    Args:
+        model: The adapted arm.
+        excluded: Links that are not held apart.
+        keyframe: Name and positions of the file's own home.
+        beside: Distance in m from what else stands there, in a pose.
+    """
     data = mujoco.MjData(model)
+    room = _Room(model, data, beside)
     site = model.site(TOOL).id
     sampled = poses(model)
     reach = 0.0
@@ -116,11 +130,8 @@ def choose(
     said = []
     if keyframe is not None:
         name, q = keyframe
-        if (
-            _clearance(model, data, far, q) > CLEAR_M
-            and _dexterity(model, data, site, reach) > 0.02
-        ):
-            return Home(q, (f"home: keyframe {name}",), reach)
+        if room.clearance(far, q) > CLEAR_M and _dexterity(model, data, site, reach) > 0.02:
+            return Home(q, (f"home: keyframe {name}",), reach, room.floor_m)
         said.append(
             f"keyframe {name} is no home: the arm is too near itself in it, or cannot move its tool every way"
         )
@@ -132,12 +143,14 @@ def choose(
     drawn = np.random.default_rng(1).uniform(-0.7, 0.7, (CANDIDATES, model.nq))
     best, best_score = middle, -np.inf
     for pose in (middle, *(middle + half * drawn)):
-        clearance = _clearance(model, data, far, pose)
+        clearance = room.clearance(far, pose)
         tool = data.site_xpos[site].copy()
         out = float(np.hypot(*tool[:2])) / max(reach, 1e-9)
         score = _dexterity(model, data, site, reach)
         score -= (
-            max(0.0, 0.4 - out) + max(0.0, out - 0.75) + max(0.0, 0.1 - tool[2] / max(reach, 1e-9))
+            max(0.0, 0.4 - out)
+            + max(0.0, out - 0.75)
+            + max(0.0, 0.1 - (tool[2] - room.floor_m) / max(reach, 1e-9))
         )
         score -= 20 * max(0.0, CLEAR_M - clearance)
         if score > best_score:
@@ -145,32 +158,91 @@ def choose(
     said.append(
         f"home: of {CANDIDATES} poses the one in which the tool can move best, points outwards and the arm is clear of itself"
     )
-    return Home(best, tuple(said), reach)
+    return Home(best, tuple(said), reach, room.floor_m)
 
 
-def _clearance(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    far: list[list[tuple[int, int]]],
-    q: NDArray[np.float64],
-) -> float:
-    """Least distance of capsules that must stay apart, and of moving ones above the floor."""
-    data.qpos[:] = q
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    least = min(
-        (
-            mujoco.mj_geomDistance(model, data, g, h, 0.2, None)
-            for capsules in far
-            for g, h in capsules
-        ),
-        default=0.2,
-    )
-    for g in np.flatnonzero(model.geom_group == 4):
-        if model.body_weldid[model.geom_bodyid[g]]:
-            half = abs(data.geom_xmat[g].reshape(3, 3)[2, 2]) * model.geom_size[g, 1]
-            least = min(least, data.geom_xpos[g, 2] - half - model.geom_size[g, 0])
-    return float(least)
+class _Room:
+    """What an arm needs room from: itself, the floor, and what stands beside it."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        beside: Callable[[mujoco.MjData], float] | None,
+    ):
+        self._model, self._data, self._beside = model, data, beside
+        self._moving = [
+            g
+            for g in np.flatnonzero(model.geom_group == 4).tolist()
+            if model.body_weldid[model.geom_bodyid[g]]
+        ]
+        lowest = min([0.0, *self._lowest_of_base(), *self._lowest_of_links()])
+        self.floor_m = lowest if lowest < -CLEAR_M else 0.0
+        """Height of the floor in the base's frame: 0, unless base or links cannot but be well below it."""
+
+    def _lowest_of_base(self) -> list[float]:
+        """Heights of the lowest points of what stands still."""
+        model, data = self._model, self._data
+        mujoco.mj_kinematics(model, data)
+        standing = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
+        return [
+            float(surface(model, data, g)[:, 2].min()) for g in standing if model.geom_group[g] != 4
+        ]
+
+    def _lowest_of_links(self) -> list[float]:
+        """Where the floor must be at least for each moving capsule to be clear of it in the best of the sampled poses.
+
+        A capsule whose height never changes, as that of a link that turns about the vertical, needs no room.
+        """
+        heights = []
+        for pose in poses(self._model):
+            self._data.qpos[:] = pose
+            mujoco.mj_kinematics(self._model, self._data)
+            heights.append([self._bottom(g) for g in self._moving])
+        heights = np.array(heights).reshape(SAMPLES, -1)
+        turns_level = np.ptp(heights, axis=0) < 1e-6
+        best = heights.max(axis=0, initial=-np.inf) - 2 * CLEAR_M
+        return best[~turns_level].tolist()
+
+    def _bottom(self, geom: int) -> float:
+        model, data = self._model, self._data
+        half = abs(data.geom_xmat[geom].reshape(3, 3)[2, 2]) * model.geom_size[geom, 1]
+        return float(data.geom_xpos[geom, 2] - half - model.geom_size[geom, 0])
+
+    def clearance(self, far: list[list[tuple[int, int]]], q: NDArray[np.float64]) -> float:
+        """Least distance of capsules that must stay apart, of moving ones above the floor and from what is beside."""
+        model, data = self._model, self._data
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        least = min(
+            (
+                mujoco.mj_geomDistance(model, data, g, h, 0.2, None)
+                for capsules in far
+                for g, h in capsules
+            ),
+            default=0.2,
+        )
+        for g in self._moving:
+            least = min(least, self._bottom(g) - self.floor_m)
+        if self._beside is not None:
+            least = min(least, self._beside(data))
+        return float(least)
+
+
+def capsule_at(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Capsule:
+    """Where a capsule geom is, in the frame of the model's world."""
+    axis = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+    ends = data.geom_xpos[geom] + np.array([-axis, axis])
+    return Capsule(ends, float(model.geom_size[geom, 0]))
+
+
+def gap(one: Capsule, other: Capsule, points: int = 9) -> float:
+    """Distance of two capsules in m, measured from points along one axis: too large by at most half their spacing squared
+    over twice the distance of the axes."""
+    share = np.linspace(0.0, 1.0, points)[:, None]
+    along = one.ends[0] + share * (one.ends[1] - one.ends[0])
+    return float(other.beyond(along).min()) - one.radius_m
 
 
 def _dexterity(model: mujoco.MjModel, data: mujoco.MjData, site: int, reach: float) -> float:

@@ -50,7 +50,7 @@ def links_of(
         root: The body whose frame is the arm's base; 0 for the file's world.
     """
     first_of = rigid_links(model, driven)
-    members: dict[int, list[int]] = {}
+    members: dict[int, list[int]] = {0: []}
     for body in sorted(bodies):
         members.setdefault(first_of[body], []).append(body)
     found = []
@@ -83,7 +83,7 @@ def composite(
     masses = model.body_mass[bodies]
     mass = float(masses.sum())
     if mass == 0.0:
-        return 0.0, data.xpos[bodies[0]].copy(), np.zeros((3, 3))
+        return 0.0, np.zeros(3), np.zeros((3, 3))
     centres = data.xipos[bodies]
     centre = masses @ centres / mass
     inertia = np.zeros((3, 3))
