@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -204,13 +203,13 @@ class Cell:
         for key, item in self.instruments.items():
             if item.holder == "nurse":
                 arm = turn.apply(item.centre_m - before.position_m)
-                self.instruments[key] = replace(
-                    item, centre_m=now.position_m + arm, axis_m=turn.apply(item.axis_m)
+                self.instruments[key] = item._replace(
+                    centre_m=now.position_m + arm, axis_m=turn.apply(item.axis_m)
                 )
         if self.jobs.hand_over is not None:
             self.handed.append((name, self.jobs.hand_over))
             key = self.jobs.hand_over.instrument
-            self.instruments[key] = replace(self.instruments[key], holder=self.jobs.hand_over.to)
+            self.instruments[key] = self.instruments[key]._replace(holder=self.jobs.hand_over.to)
         self.log.append((self.jobs.name, now.position_m.copy(), now.wxyz.copy()))
 
     def until(self, done, ticks: int = 3000) -> Cell:

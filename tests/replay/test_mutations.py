@@ -34,7 +34,7 @@ def scaled_too_far(monkeypatch, duet):
     def mutant(law, self, *arguments):
         found = law(self, *arguments)
         factor = min(1.0, found.bound.factor * 1.01)
-        return dataclasses.replace(found, bound=dataclasses.replace(found.bound, factor=factor))
+        return found._replace(bound=found.bound._replace(factor=factor))
 
     changed(monkeypatch, "allow", mutant)
 

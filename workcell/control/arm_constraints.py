@@ -10,7 +10,7 @@ What is kept here from tick to tick are the arrays; the arithmetic is in `laws`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mink
 import numpy as np
@@ -46,8 +46,7 @@ HYPOTHESES = 3
 joint limits let through of that."""
 
 
-@dataclass(slots=True)
-class Rates:
+class Rates(NamedTuple):
     """What a joint velocity of the whole cell does to the pairs."""
 
     rate_m_s: Array
@@ -60,8 +59,7 @@ class Rates:
     """Which arm, by its number, closes the first pair most; None where nothing closes."""
 
 
-@dataclass(slots=True)
-class Allowance:
+class Allowance(NamedTuple):
     """What pairs and joints leave of the velocity an arm wants."""
 
     bound: ScaleBound
@@ -175,8 +173,7 @@ class ArmConstraints:
         self.ik = ik
         self.support = support
         self._configuration = configuration
-        self._foreign = np.ones(watched.jacobian.shape[1], dtype=bool)
-        self._foreign[self.arm.dofs] = False
+        self._foreign = np.setdiff1d(np.arange(watched.jacobian.shape[1]), self.arm.dofs)
         self.meeting = np.zeros(len(pairs.owned), dtype=bool)
         """(R,) which of them the arm's present job brings together."""
         self._meeting_pairs: Indices | None = None
@@ -374,8 +371,7 @@ def _room_for_keeping(pairs: int) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Keeping:
+class Keeping(NamedTuple):
     """What a command does to the pairs an arm answers for."""
 
     rows: Array

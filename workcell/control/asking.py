@@ -7,7 +7,6 @@ and the run ends with the strategy's name in its summary.
 
 from __future__ import annotations
 
-import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from types import FrameType
 
 import numpy as np
 
+from workcell.control.finite import all_finite
 from workcell.control.outcome import MODES
 from workcell.control.tick import Steering
 from workcell.errors import ControlFault, WorkcellError
@@ -68,7 +68,7 @@ def _wrong(steering: Steering, n: int, pairs: int) -> str:
         value = getattr(steering, field)
         if not isinstance(value, np.ndarray) or value.shape != (n,):
             return f"{field} of shape {np.shape(value)}, must be ({n},)"
-        if not math.isfinite(float(np.sum(value * value))):
+        if not all_finite(value):
             return f"{field} = {value.tolist()}, every entry must be finite"
     for field in ("clock_rate", "scale"):
         value = getattr(steering, field)

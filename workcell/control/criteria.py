@@ -9,8 +9,7 @@ Plain arrays; pass the rows of an arm's pairs and the columns of its dofs. The a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,8 +32,7 @@ KINDS: dict[str, int] = {
 """What the laws know a criterion by."""
 
 
-@dataclass(frozen=True)
-class NullspaceObjective:
+class NullspaceObjective(NamedTuple):
     """Minimising 1/2 q' H q' + c' q' over joint velocities q' descends a criterion."""
 
     hessian: Array

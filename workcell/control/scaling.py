@@ -10,8 +10,7 @@ The factor applies to the arm's whole joint velocity, null-space part included. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,8 +24,7 @@ Array = NDArray[np.float64]
 Limiter = Literal["none", "ttc", "rise", "acceleration", "braking", "infeasible"]
 
 
-@dataclass(frozen=True)
-class ScaleBound:
+class ScaleBound(NamedTuple):
     """What the times to collision allow."""
 
     factor: float
@@ -47,8 +45,7 @@ class ScaleBound:
     """Index of that pair; -1 when nothing is missing."""
 
 
-@dataclass(frozen=True)
-class AccelerationInterval:
+class AccelerationInterval(NamedTuple):
     """Factors that the joints can reach within one period."""
 
     lowest: float
@@ -59,8 +56,7 @@ class AccelerationInterval:
     """False when no factor respects all limits; both bounds are then the least violating one."""
 
 
-@dataclass(frozen=True)
-class FactorChoice:
+class FactorChoice(NamedTuple):
     """The factor that is granted, and why it is not larger."""
 
     factor: float

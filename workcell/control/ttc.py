@@ -9,7 +9,7 @@ t = -d/d' (paper equation 8), second order the smallest positive root of d''/2 t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,7 @@ from workcell.errors import WorkcellError
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class SmallestTtc:
+class SmallestTtc(NamedTuple):
     """The pair that would collide first."""
 
     ttc_s: float

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,7 @@ _STEP_M = 0.005
 """Spacing of the table a geometry is tabulated in; its cubic interpolation is then good to about 1e-8 m."""
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """Where a tool should be and how it should move, in the world frame."""
 
     position_m: NDArray[np.float64]

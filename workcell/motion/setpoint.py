@@ -7,8 +7,7 @@ for every fault an input can have, so that a log says why an arm stood still (do
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +48,7 @@ STATES = (
 """Every state there is."""
 
 
-@dataclass(frozen=True)
-class Setpoint:
+class Setpoint(NamedTuple):
     """What an operator wants at one tick."""
 
     target: Target

@@ -13,8 +13,7 @@ The arithmetic is `laws.tool_task`, `laws.joint_limits` and `laws.program`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mink
 import mujoco
@@ -45,8 +44,7 @@ TASK_SOFT = "task_soft"
 STOPPED = "stopped"
 
 
-@dataclass(frozen=True)
-class IkSolution:
+class IkSolution(NamedTuple):
     """Joint velocities of one arm."""
 
     velocity_rad_s: Array

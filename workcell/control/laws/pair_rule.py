@@ -56,7 +56,7 @@ def predicted_rates(jacobian, index, foreign, velocities, other):
     Args:
         jacobian: G (P, nv).
         index: Pairs to work out.
-        foreign: (nv,) whether a joint belongs to another arm.
+        foreign: The joints of other arms.
         velocities: (K, nv) predicted; with K = 0 the others stand.
         other: (P,) written at these pairs.
 
@@ -67,9 +67,8 @@ def predicted_rates(jacobian, index, foreign, velocities, other):
         least = 0.0
         for way in range(len(velocities)):
             total = 0.0
-            for joint in range(len(foreign)):
-                if foreign[joint]:
-                    total += jacobian[pair, joint] * velocities[way, joint]
+            for joint in foreign:
+                total += jacobian[pair, joint] * velocities[way, joint]
             if not math.isfinite(total):
                 return pair
             if way == 0 or total < least:

@@ -89,7 +89,7 @@ def arm_program(
     Args:
         jacobian, distance, rate: G (P, nv), d (P,), d' (P,).
         velocities: (K, nv) predicted of the other arms; see `pair_rule.predicted_rates`.
-        foreign: (nv,) which joints are theirs.
+        foreign: Their joints.
         moved: Pairs that the arm moves.
         averaged: Pairs of the criterion.
         dof: (n,) joints of the arm.

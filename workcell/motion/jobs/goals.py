@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,7 @@ _NO_LEFT_M = 1e-6
 """Horizontal distance from base to tool below which left and right have no meaning."""
 
 
-@dataclass(frozen=True)
-class Instrument:
+class Instrument(NamedTuple):
     """Where an instrument is now."""
 
     centre_m: Vector
@@ -43,8 +43,7 @@ class Instrument:
     """Arm that holds it; None where it lies."""
 
 
-@dataclass(frozen=True)
-class Surroundings:
+class Surroundings(NamedTuple):
     """What a job may know about the cell at this tick."""
 
     tool_position_m: dict[str, Vector]
