@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from tests import cells
-from workcell import assets, cli
+from workcell import assets, cli, loop
 from workcell import run as runner
 from workcell.control.controller import Controller
 from workcell.errors import InputError
@@ -148,7 +148,7 @@ FAULTS = {
 def test_a_checker_that_goes_in_a_run_stops_the_arms(tmp_path, monkeypatch, state):
     """Killed or suspended at tick 60: the nurse brakes and stands, and the run says why."""
     pids = []
-    real = runner.LatchedCheck
+    real = loop.LatchedCheck
 
     class Tampered(real):
         def ask(self, tick, *rest):
@@ -157,9 +157,9 @@ def test_a_checker_that_goes_in_a_run_stops_the_arms(tmp_path, monkeypatch, stat
                 FAULTS[state](pids[0])
             return super().ask(tick, *rest)
 
-    monkeypatch.setattr(runner, "LatchedCheck", Tampered)
+    monkeypatch.setattr(loop, "LatchedCheck", Tampered)
     monkeypatch.setattr(
-        runner,
+        loop,
         "check_settings",
         lambda cell: replace(check_settings(cell), lockstep_deadline_s=0.5),
     )

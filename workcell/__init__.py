@@ -18,6 +18,7 @@ __version__ = "0.2.0"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
+    from workcell.control.commanded import Twist
     from workcell.control.criteria import (
         CRITERIA,
         NullspaceObjective,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from workcell.parts.watch import PairTimes, PairWatch, pairs_between
     from workcell.scenario import Scenario
     from workcell.scenario import load as load_scenario
+    from workcell.session import Session, State
     from workcell.trace.table import Trace
     from workcell.trace.table import load as load_trace
 
@@ -64,11 +66,13 @@ _HOMES = {
     "workcell.control.ttc": (
         "SmallestTtc", "reciprocal_first_order", "reciprocal_second_order", "smallest",
     ),
+    "workcell.control.commanded": ("Twist",),
     "workcell.errors": ("InputError", "WorkcellError"),
     "workcell.parts.gate": ("CommandGate",),
     "workcell.parts.scaler": ("Scaled", "SpeedScaler"),
     "workcell.parts.watch": ("PairTimes", "PairWatch", "pairs_between"),
     "workcell.scenario": ("Scenario", "load_scenario=load"),
+    "workcell.session": ("Session", "State"),
     "workcell.trace.table": ("Trace", "load_trace=load"),
 }  # fmt: skip
 """The public names of each module, `public=own` where they differ."""
@@ -93,11 +97,14 @@ __all__ = [
     "ScaleBound",
     "Scaled",
     "Scenario",
+    "Session",
     "SmallestTtc",
     "SpeedScaler",
+    "State",
     "ToolTask",
     "Trace",
     "TtcLimit",
+    "Twist",
     "WorkcellError",
     "__version__",
     "acceleration_interval",

@@ -1,7 +1,7 @@
 """One scenario -> one trace: the spine of the package, to be read first.
 
     prepare   scenario -> cell (compiled scene, watched pairs, arms), refused if it cannot be run
-    simulate  cell -> trace, tick by tick, with the controller installed as MuJoCo's control callback
+    simulate  cell -> trace, tick by tick, with the controller installed as MuJoCo's control callback (`loop.py`)
     conclude  trace -> summary (metrics, expectations with verdicts) and recording
 
 Nothing in the loop reads a clock: time is tick × period, so the same scenario, seed and versions
@@ -13,38 +13,30 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
-import mujoco
-
 from workcell.admission import STOPPED_BY_CHECK, admit
-from workcell.control.controller import Controller
-from workcell.errors import ControlFault, InputError, TraceError
-from workcell.guard.check_setup import check_settings, refusal, without_geometry
-from workcell.guard.monitor import FinalCheck
+from workcell.errors import InputError, TraceError
 from workcell.guard.supervisor import LatchedCheck
 from workcell.judge import judge_trace
-from workcell.provenance import layout, metadata, origin, versions
+from workcell.loop import SCENE_FOLDER, Ending, Loop, Watch
+from workcell.provenance import layout, origin, versions
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
 from workcell.scene.compose import SCENE_FILE
-from workcell.simulation.plant import Plant
 from workcell.trace import metrics
 from workcell.trace.expectations import judge
 from workcell.trace.preflight import check_space, check_writable, remove_earlier
 from workcell.trace.stored import INDEX_NAME
 from workcell.trace.table import JOURNAL_NAME, TRACE_NAME, Trace, load
 from workcell.trace.why import why
-from workcell.trace.writer import FLUSH_S, TraceWriter
+from workcell.trace.writer import FLUSH_S
 
 SCENARIO_FILE = "scenario.toml"
 SUMMARY_FILE = "summary.json"
 ORIGIN_FILE = "origin.json"
 RECORDING_FILE = "recording.rrd"
-SCENE_FOLDER = "scene"
 FIGURES_FOLDER = "figures"
 REPORT_FILE = "report.html"
 OUTPUTS = (
@@ -55,20 +47,6 @@ OUTPUTS = (
 """All that a run and the commands after it write into a run folder."""
 CHECK_STOP = STOPPED_BY_CHECK
 """Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
-
-
-@dataclass(frozen=True)
-class Ending:
-    """How a simulation ended."""
-
-    ticks: int
-    """Ticks done."""
-    fault: str | None
-    """What stopped it before its time, None if it ran to its end."""
-    interrupted: bool
-    """Whether a person stopped it."""
-    check: dict | None
-    """What the final check has to say of itself and of a halt; None if it was off."""
 
 
 def run(
@@ -95,13 +73,23 @@ def run(
     _refuse_live(scenario)
     say = phase or (lambda what: None)
     say("preparing")
+    cell = start_folder(scenario, out)
+    say("simulating")
+    ending = simulate(cell, out, progress=progress)
+    return conclude(cell, out, ending, phase=say)
+
+
+def start_folder(scenario: Scenario, out: Path) -> Cell:
+    """A run folder that a run can be written into: its scenario, its scene, where it comes from, and room enough.
+
+    Raises:
+        InputError: the scenario cannot be run, or the folder cannot be written to.
+    """
     cell = open_folder(scenario, out)
     check_space(out, layout(cell), scenario.ticks)
     (out / SCENARIO_FILE).write_text(scenario.to_toml(), encoding="utf-8")
     (out / ORIGIN_FILE).write_text(json.dumps(origin(cell), indent=2) + "\n", encoding="utf-8")
-    say("simulating")
-    ending = simulate(cell, out, progress=progress)
-    return conclude(cell, out, ending, phase=say)
+    return cell
 
 
 def open_folder(scenario: Scenario, out: Path) -> Cell:
@@ -148,7 +136,7 @@ def simulate(
     out: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
-    watch: Callable[[int, mujoco.MjData, Controller], bool | None] | None = None,
+    watch: Watch | None = None,
     flush_s: float = FLUSH_S,
     check: LatchedCheck | None = None,
 ) -> Ending:
@@ -158,66 +146,16 @@ def simulate(
         cell: What is simulated.
         out: Run folder that holds the scene; the trace is written into it.
         progress: Called with (ticks done, ticks of a full run) now and then.
-        watch: Called before every tick with its number, the plant's true state, which it may not
-            change, and the controller, to which it may offer samples and changes; True ends the run.
+        watch: Called before every tick; see `workcell.loop.Watch`.
         flush_s: Simulated time of trace that a kill may cost.
         check: A final check that is running already; None starts one in lock-step if the scenario
             wants it.
     """
-    scenario = cell.scenario
-    fault, interrupted = None, False
-    with ExitStack() as stack:
-        if check is None:
-            check = stack.enter_context(final_check(cell, out))
-        plant, controller = Plant(cell), Controller(cell, check=check)
-        # Before the trace: where another simulation is under way, nothing is written.
-        stack.enter_context(plant.steered_by(controller))
-        trace = stack.enter_context(
-            TraceWriter(out, layout(cell), metadata(cell), cell.period_s, flush_s=flush_s)
-        )
-        try:
-            for tick in range(scenario.ticks):
-                if watch and watch(tick, plant.data, controller):
-                    break
-                trace.append(plant.step(controller))
-                if progress and tick % 250 == 0:
-                    progress(tick, scenario.ticks)
-        except ControlFault as error:
-            fault = str(error)
-        except KeyboardInterrupt:
-            interrupted = True
-    fault = fault or "; ".join(controller.faults) or None
+    with Loop(cell, out, flush_s=flush_s, check=check) as loop:
+        loop.run(watch=watch, progress=progress)
     if progress:
-        progress(scenario.ticks, scenario.ticks)
-    return Ending(controller.tick, fault, interrupted, None if check is None else check.account())
-
-
-@contextmanager
-def final_check(cell: Cell, out: Path, *, live: bool = False) -> Iterator[LatchedCheck | None]:
-    """Start the final check in its own process, unless the scenario switches it off.
-
-    Args:
-        cell: What is simulated.
-        out: Run folder that holds the scene.
-        live: Whether time goes on while the checker works; see `LatchedCheck`.
-
-    Raises:
-        InputError: an arm has no geometry the check could judge.
-    """
-    settings = cell.scenario.check
-    if not settings.enabled:
-        yield None
-        return
-    with FinalCheck(out / SCENE_FOLDER / SCENE_FILE, check_settings(cell)) as check:
-        try:
-            verdict = check.start()
-        except InputError as error:
-            raise refusal(cell, error.faults) from error
-        if check.missing:
-            raise refusal(cell, [without_geometry(check.missing)])
-        if verdict.must_stop:
-            raise refusal(cell, [f"{verdict.state}: {verdict.reason}"])
-        yield LatchedCheck(check, period_s=cell.period_s, live=live)
+        progress(cell.scenario.ticks, cell.scenario.ticks)
+    return loop.ending()
 
 
 def conclude(

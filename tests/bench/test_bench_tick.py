@@ -20,6 +20,7 @@ from workcell import scenario as scenario_file
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
 from workcell.control.laws import arithmetic
+from workcell.provenance import layout, metadata
 from workcell.scene import cell as scene
 from workcell.scene.cell import Cell
 from workcell.trace.writer import TraceWriter
@@ -55,7 +56,7 @@ class WholeTick:
 
     def __init__(self, cell: Cell, states, folder: Path):
         self._cell, self._states = cell, states
-        self._trace = TraceWriter(folder, runner.layout(cell), runner.metadata(cell), cell.period_s)
+        self._trace = TraceWriter(folder, layout(cell), metadata(cell), cell.period_s)
         self._restart()
 
     def _restart(self) -> None:

@@ -53,3 +53,24 @@ def test_artc_in_null_space(told):
     (_, still_m, _), (_, moved_m, off_m) = told("artc_in_null_space")
     assert moved_m > still_m + 0.2
     assert off_m < 1e-4
+
+
+def test_own_operator(told):
+    (error_m,), (nearest_m,) = told("own_operator")
+    assert error_m < 0.003
+    assert 0.01 < nearest_m < 0.2
+
+
+def test_trace_to_pandas(told, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setattr("sys.argv", ["trace_to_pandas.py"])
+    (percent, nearest_m), *_ = told("trace_to_pandas")
+    assert 1 <= percent < 100
+    assert 0.0 < nearest_m < 0.2
+    assert 10_000 < Path("trace.png").stat().st_size
+
+
+def test_sweep_from_python(told):
+    lines = told("sweep_from_python")
+    assert [line[:3] for line in lines] == [[0.5, 2, 0], [1.0, 2, 0]]
+    assert all(nearest_m > 0.0 for *_, nearest_m in lines)

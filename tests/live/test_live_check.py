@@ -18,6 +18,7 @@ from workcell.guard.monitor import FinalCheck
 from workcell.guard.settings import TestFault
 from workcell.guard.supervisor import LatchedCheck
 from workcell.live.pace import Pace
+from workcell.loop import final_check
 from workcell.trace.table import load
 
 FAULT_TICK = 60
@@ -105,6 +106,6 @@ def test_teleop_and_only_it_asks_without_waiting(tmp_path):
     content["check"] = {"enabled": True}
     cell = runner.prepare(cells.load(tmp_path, content), tmp_path / "run" / "scene")
     for live in (True, False):
-        with runner.final_check(cell, tmp_path / "run", live=live) as check:
+        with final_check(cell, tmp_path / "run", live=live) as check:
             assert check is not None
             assert check.is_live == live

@@ -15,14 +15,16 @@ Each stage answers with records that nothing changes (`tick.py`); what lasts fro
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from workcell.control import pair_assignment, prediction
 from workcell.control.arm import ControlledArm
+from workcell.control.commanded import Twist, checked, commanded
 from workcell.control.outcome import outcome
 from workcell.control.passage import Passage
 from workcell.control.record import TickRecord
@@ -31,6 +33,7 @@ from workcell.control.setpoints import Setpoints
 from workcell.control.steering import Strategies, braking
 from workcell.control.strategy import ArmView
 from workcell.control.tick import ArmTick, Sensed, Steering
+from workcell.errors import InputError, did_you_mean
 from workcell.guard.supervisor import Supervisor
 from workcell.guard.verdict import Verdict
 from workcell.motion.jobs import JobSequence
@@ -64,6 +67,8 @@ class Controller:
         self._strategies = Strategies(cell)
         self._passage = Passage(cell)
         pair_assignment.assign(cell, self.grasps, self._sensing.watched, self._arms)
+        self._commands: dict[str, NDArray[np.float64] | Twist] = {}
+        """What is asked from outside, for the next tick."""
         self._record: TickRecord | None = None
         self._failure: BaseException | None = None
 
@@ -82,6 +87,25 @@ class Controller:
     def drive(self, arm: str, operator: Operator) -> None:
         """Put another operator in the place of an arm's own: a replay does so for one who was live."""
         next(a for a in self._arms if a.name == arm).operator = operator
+
+    def command(self, wanted: Mapping[str, ArrayLike | Twist]) -> None:
+        """Ask arms for joint velocities (n,) or tool twists in the next tick, in the place of their strategies.
+
+        Args:
+            wanted: By the arms' names; it takes the place of what was asked before.
+
+        Raises:
+            InputError: there is no such arm, or a command has another shape or a number that is not finite.
+        """
+        joints = {arm.name: len(arm.dofs) for arm in self._arms}
+        unknown = [
+            f"arm {arm!r}: unknown{did_you_mean(arm, joints)}; allowed: {', '.join(joints)}"
+            for arm in wanted
+            if arm not in joints
+        ]
+        if unknown:
+            raise InputError(unknown)
+        self._commands = {arm: checked(arm, joints[arm], each) for arm, each in wanted.items()}
 
     @property
     def settings(self) -> Control:
@@ -182,6 +206,7 @@ class Controller:
         )
         for arm in self._arms:
             arm.remember(ticks[arm.name])
+        self._commands = {}
         self.tick += 1
         return self._record
 
@@ -213,6 +238,8 @@ class Controller:
             return braking(view, "check")
         if arm.support:
             arm.constraints.meets(pair_assignment.meeting_pairs(self.cell, self.grasps, arm))
+        if arm.name in self._commands:
+            return commanded(arm, view, self._commands[arm.name])
         return self._strategies.steer(arm, view)
 
     def _write(self, data: mujoco.MjData) -> None:

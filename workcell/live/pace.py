@@ -15,6 +15,7 @@ import numpy as np
 from workcell import run as runner
 from workcell.control.controller import Controller
 from workcell.errors import InputError
+from workcell.loop import final_check
 from workcell.scenario import Scenario
 
 GIVE_UP_S = 0.1
@@ -181,7 +182,7 @@ def tick_s(scenario: Scenario) -> float:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         cell = runner.prepare(scenario, out / runner.SCENE_FOLDER)
-        with runner.final_check(cell, out, live=True) as check:
+        with final_check(cell, out, live=True) as check:
             runner.simulate(cell, out, watch=watch, check=check)
     took = np.diff(began[WARM_UP_TICKS:])
     return float(np.percentile(took, 90)) if len(took) else 0.0

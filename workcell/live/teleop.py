@@ -26,6 +26,7 @@ from workcell.live.desk import Desk, Say
 from workcell.live.report import OperatorReport, operator_report
 from workcell.live.sitting import Minutes, Sitting, home, tool_pose
 from workcell.live.stream import Stream
+from workcell.loop import Ending, final_check
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
 
@@ -49,7 +50,7 @@ class _Attempt:
 
     cell: Cell
     folder: Path
-    ending: runner.Ending
+    ending: Ending
     minutes: Minutes
 
 
@@ -170,7 +171,7 @@ def _attempt(
     cell: Cell, folder: Path, desk: Desk, stream: Stream | None, live: list[str], say: Say
 ) -> tuple[_Attempt, bool]:
     """One run, and whether the person wants another."""
-    with runner.final_check(cell, folder, live=True) as check:
+    with final_check(cell, folder, live=True) as check:
         sitting = Sitting(cell, desk, stream, check, live, say)
         ending = runner.simulate(cell, folder, watch=sitting.watch, check=check)
     return _Attempt(cell, folder, ending, sitting.minutes()), sitting.wants_another

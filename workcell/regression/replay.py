@@ -26,6 +26,7 @@ from workcell.guard.halt import HaltLatch
 from workcell.guard.verdict import CheckState, Verdict
 from workcell.motion.path import Target
 from workcell.motion.setpoint import Setpoint
+from workcell.provenance import layout, metadata
 from workcell.regression.rows import States, Targets
 from workcell.scenario import Live, Scenario
 from workcell.scene.cell import Cell
@@ -131,7 +132,7 @@ def open_loop(cell: Cell, states: States, out: Path, *, progress: Progress | Non
                 )
             controller.drive(arm.name, RecordedOperator(states.targets[arm.name], cell.period_s))
     fault = None
-    with TraceWriter(out, runner.layout(cell), runner.metadata(cell), cell.period_s) as trace:
+    with TraceWriter(out, layout(cell), metadata(cell), cell.period_s) as trace:
         try:
             for tick, (qpos, qvel) in enumerate(zip(states.qpos, states.qvel, strict=True)):
                 changed = {
