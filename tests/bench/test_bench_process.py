@@ -21,7 +21,7 @@ with tempfile.TemporaryDirectory() as folder:
     cell = run.prepare(scenario.load("handover"), Path(folder))
     controller = Controller(cell)
     built = time.perf_counter()
-    qpos = controller._belief.data.qpos.copy()
+    qpos = controller._sensing.belief.data.qpos.copy()
     controller.step(qpos, 0 * qpos)
     ticked = time.perf_counter()
 used = resource.getrusage(resource.RUSAGE_SELF)
