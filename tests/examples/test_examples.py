@@ -58,7 +58,7 @@ def test_artc_in_null_space(told):
 def test_own_operator(told):
     (error_m,), (nearest_m,) = told("own_operator")
     assert error_m < 0.003
-    assert 0.01 < nearest_m < 0.2
+    assert 0.005 < nearest_m < 0.2
 
 
 def test_trace_to_pandas(told, monkeypatch):
@@ -67,7 +67,7 @@ def test_trace_to_pandas(told, monkeypatch):
     (percent, nearest_m), *_ = told("trace_to_pandas")
     assert 1 <= percent < 100
     assert 0.0 < nearest_m < 0.2
-    assert 10_000 < Path("trace.png").stat().st_size
+    assert Path("trace.png").stat().st_size > 10_000
 
 
 def test_sweep_from_python(told):
