@@ -8,7 +8,6 @@ import pytest
 
 from tests import cells
 from workcell.control.grasp import Grasps
-from workcell.control.proximity import PairGeometry
 from workcell.scene import cell as scene
 from workcell.simulation.instruments import Instruments
 
@@ -17,50 +16,23 @@ STEP_RAD = 1e-6
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory) -> scene.Cell:
-    """Two planar arms, tilted against each other so that no rods are parallel; a probe in the nurse's
-    hand, a clamp on the ground."""
-    content = cells.duet()
-    content["arm"][1]["base_wxyz"] = [0.98, 0.15, 0.1, (1 - 0.98**2 - 0.15**2 - 0.1**2) ** 0.5]
-    content["arm"][1]["base_position_m"] = [-0.55, 0.0, 0.2]
-    content["arm"][0]["home_rad"] = [1.9, 0.9, -0.6]
-    content["instrument"] = [
-        {"name": "probe", "held_by": "nurse"},
-        {"name": "clamp", "position_m": [0.0, -0.5, 0.3], "wxyz": [0.8, 0.6, 0.0, 0.0]},
-    ]
-    return cells.build(tmp_path_factory.mktemp("grasp"), content)
+    return cells.build(tmp_path_factory.mktemp("grasp"), cells.tilted_duet_with_instruments())
 
 
 @pytest.fixture
 def data(cell) -> mujoco.MjData:
-    data = mujoco.MjData(cell.model)
-    cell.place_home(data)
-    kinematics(cell, data)
-    return data
-
-
-def kinematics(cell: scene.Cell, data: mujoco.MjData) -> None:
-    mujoco.mj_kinematics(cell.model, data)
-    mujoco.mj_comPos(cell.model, data)
-    mujoco.mj_sensorPos(cell.model, data)
-
-
-def bodies(cell: scene.Cell, instrument: str):
-    return next(item for item in cell.instruments if item.name == instrument)
+    return cells.at_home(cell)
 
 
 def pairs_of(cell: scene.Cell, *geoms: str) -> list[int]:
     return [k for k, names in enumerate(cell.pairs.names) if set(geoms) <= set(names)]
 
 
-def geometry(cell: scene.Cell) -> PairGeometry:
-    return PairGeometry(cell.model, [tuple(p) for p in cell.pairs.geoms], cell.sensor_adr)
-
-
 def distances(cell: scene.Cell, carried: Instruments, data: mujoco.MjData) -> np.ndarray:
     """With every held instrument carried along."""
     carried.carry(data)
-    kinematics(cell, data)
-    return geometry(cell).measure(data).distance_m.copy()
+    cells.kinematics(cell, data)
+    return cells.geometry(cell).measure(data).distance_m.copy()
 
 
 @pytest.mark.parametrize("holder", ["nurse", "surgeon"])
@@ -70,8 +42,8 @@ def test_g_of_a_held_instrument_is_that_of_the_arm_that_holds_it(cell, data, hol
     grasps.take("probe", holder)
     carried = Instruments(cell, data)
     carried.follow(grasps.holders, data)
-    folded = grasps.fold(data, geometry(cell).measure(data).jacobian)
-    item = bodies(cell, "probe")
+    folded = grasps.fold(data, cells.geometry(cell).measure(data).jacobian)
+    item = cells.item(cell, "probe")
     mine = [k for k in pairs_of(cell, "probe_capsule") if grasps.parties(k)]
     home = data.qpos.copy()
     for arm in cell.arms:
@@ -90,8 +62,8 @@ def test_g_of_a_held_instrument_is_that_of_the_arm_that_holds_it(cell, data, hol
 
 def test_an_instrument_that_lies_has_no_part_in_g(cell, data):
     grasps = Grasps(cell)
-    folded = grasps.fold(data, geometry(cell).measure(data).jacobian)
-    clamp = bodies(cell, "clamp")
+    folded = grasps.fold(data, cells.geometry(cell).measure(data).jacobian)
+    clamp = cells.item(cell, "clamp")
     assert not folded[:, clamp.dof : clamp.dof + 6].any()
     (with_hand,) = pairs_of(cell, "clamp_capsule", "nurse/link3_capsule")
     assert grasps.parties(with_hand) == ("nurse",), "who comes near answers"

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from tests import cells
 from workcell.control.grasp import Grasps
-from workcell.control.proximity import PairGeometry
 from workcell.scene import cell as scene
 from workcell.scene import contacts
 from workcell.scene.contacts import as_slice
@@ -18,44 +17,17 @@ from workcell.simulation.instruments import Instruments
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory) -> scene.Cell:
-    """Two planar arms, tilted against each other so that no rods are parallel; a probe in the nurse's
-    hand, a clamp on the ground."""
-    content = cells.duet()
-    content["arm"][1]["base_wxyz"] = [0.98, 0.15, 0.1, (1 - 0.98**2 - 0.15**2 - 0.1**2) ** 0.5]
-    content["arm"][1]["base_position_m"] = [-0.55, 0.0, 0.2]
-    content["arm"][0]["home_rad"] = [1.9, 0.9, -0.6]
-    content["instrument"] = [
-        {"name": "probe", "held_by": "nurse"},
-        {"name": "clamp", "position_m": [0.0, -0.5, 0.3], "wxyz": [0.8, 0.6, 0.0, 0.0]},
-    ]
-    return cells.build(tmp_path_factory.mktemp("grasp"), content)
+    return cells.build(tmp_path_factory.mktemp("grasp"), cells.tilted_duet_with_instruments())
 
 
 @pytest.fixture
 def data(cell) -> mujoco.MjData:
-    data = mujoco.MjData(cell.model)
-    cell.place_home(data)
-    kinematics(cell, data)
-    return data
-
-
-def kinematics(cell: scene.Cell, data: mujoco.MjData) -> None:
-    mujoco.mj_kinematics(cell.model, data)
-    mujoco.mj_comPos(cell.model, data)
-    mujoco.mj_sensorPos(cell.model, data)
-
-
-def bodies(cell: scene.Cell, instrument: str):
-    return next(item for item in cell.instruments if item.name == instrument)
-
-
-def geometry(cell: scene.Cell) -> PairGeometry:
-    return PairGeometry(cell.model, [tuple(p) for p in cell.pairs.geoms], cell.sensor_adr)
+    return cells.at_home(cell)
 
 
 def test_joints_that_do_not_follow_one_another_carry_alike(cell, data, monkeypatch):
     """Addressed one by one rather than as a slice, as those of an arm with others in between would be."""
-    jacobian = geometry(cell).measure(data).jacobian
+    jacobian = cells.geometry(cell).measure(data).jacobian
     data.qvel[cell.arms[1].dofs] = [0.7, -0.4, 0.9]
     Instruments(cell, data).carry(data)
     carried, folded = data.qvel.copy(), Grasps(cell).fold(data, jacobian)
@@ -74,7 +46,7 @@ def test_only_what_follows_one_another_is_a_slice(dofs, found):
 
 
 def test_an_instrument_is_taken_where_it_is_and_carried_rigidly(cell, data):
-    instruments, item = Instruments(cell, data), bodies(cell, "clamp")
+    instruments, item = Instruments(cell, data), cells.item(cell, "clamp")
     nurse = cell.arms[1]
     before = data.qpos[item.qpos : item.qpos + 7].copy()
     instruments.follow({"probe": None, "clamp": "nurse"}, data)
@@ -93,7 +65,7 @@ def test_an_instrument_is_taken_where_it_is_and_carried_rigidly(cell, data):
     random = np.random.default_rng(7)
     for _ in range(3):
         data.qpos[nurse.qpos] += random.uniform(-0.5, 0.5, 3)
-        kinematics(cell, data)
+        cells.kinematics(cell, data)
         instruments.carry(data)
         np.testing.assert_allclose(in_tool()[0], place, atol=1e-12)
         np.testing.assert_allclose(in_tool()[1], turn, atol=1e-12)
@@ -101,20 +73,20 @@ def test_an_instrument_is_taken_where_it_is_and_carried_rigidly(cell, data):
 
 def test_the_velocity_of_a_carried_instrument_is_that_of_its_motion(cell, data):
     """One small step of its free joint leads to where the arm's step carries it."""
-    instruments, item, nurse = Instruments(cell, data), bodies(cell, "probe"), cell.arms[1]
+    instruments, item, nurse = Instruments(cell, data), cells.item(cell, "probe"), cell.arms[1]
     data.qvel[nurse.dofs] = [0.7, -0.4, 0.9]
     instruments.carry(data)
     own = slice(item.qpos, item.qpos + 7)
     step_s = 1e-5
     mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), step_s)
     integrated = data.qpos[own].copy()
-    kinematics(cell, data)
+    cells.kinematics(cell, data)
     instruments.carry(data)
     np.testing.assert_allclose(integrated, data.qpos[own], atol=1e-9)
 
 
 def test_an_instrument_that_lies_stands_still(cell, data):
-    instruments, item = Instruments(cell, data), bodies(cell, "clamp")
+    instruments, item = Instruments(cell, data), cells.item(cell, "clamp")
     before = data.qpos[item.qpos : item.qpos + 7].copy()
     data.qvel[:] = 0.3
     instruments.carry(data)
@@ -124,7 +96,7 @@ def test_an_instrument_that_lies_stands_still(cell, data):
 
 def test_hands_open_and_close_as_told_and_only_then(cell, data):
     """What changes hands stays where it is; whoever holds it next carries it from there."""
-    instruments, item = Instruments(cell, data), bodies(cell, "probe")
+    instruments, item = Instruments(cell, data), cells.item(cell, "probe")
     before = data.qpos[item.qpos : item.qpos + 7].copy()
     instruments.follow({"probe": "surgeon", "clamp": None}, data)
     data.qpos[cell.arms[1].qpos] += 0.2
