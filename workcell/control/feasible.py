@@ -1,7 +1,7 @@
-"""Can the scenario be carried out at all: are its poses within reach, its speeds within the joints, does braking fit into t_min?
+"""Can the scenario be carried out at all: are its poses within reach, its speeds within the joints?
 
-Judged before the first tick, with the arms' own kinematics: each scripted path is followed offline,
-and t_min is held against the time the slowest braking direction needs (theory: section 5). Speed is
+Judged before the first tick, with the arms' own kinematics: each scripted path is followed offline; `reaction`
+adds what delay asks of gains and of t_min. Speed is
 judged of waypoints that an operator follows, since nothing slows those down; jobs are slowed down
 where the joints cannot keep up, and what a simulated person draws is only known as it happens.
 """
@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell import scenario
+from workcell.control import reaction
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import DIRECTIONS, ArmIk, ToolTask
-from workcell.control.scaling import smallest_t_min
 from workcell.errors import InputError
 from workcell.motion.operators import faults as operator_faults
 from workcell.motion.operators import make_operator
@@ -44,7 +44,7 @@ _SLOWER = 0.8
 
 
 def check(cell: Cell) -> None:
-    """Refuse paths out of reach, operators' paths too fast for their joints, and a t_min too small to brake in.
+    """Refuse paths out of reach, operators' paths too fast for their joints, and gains and times that delay does not allow.
 
     Raises:
         InputError: every fault found, naming arm, job, the length along its path and the remaining error.
@@ -56,8 +56,7 @@ def check(cell: Cell) -> None:
         unreached = list(_out_of_reach(cell, arm, addresses, belief))
         # Where a path cannot be followed at all, no speed is worth a word.
         faults += unreached or _too_fast(cell, arm, addresses)
-        if arm.job:
-            faults += _no_room_to_brake(cell, arm, addresses, belief)
+    faults += reaction.faults(cell)
     if faults:
         raise InputError(faults, file=cell.scenario.file)
 
@@ -281,44 +280,3 @@ def _duration_s(
     ramps_s = 1.5 * operator.speed_m_s / operator.acceleration_m_s2
     stretch_s = waypoints / operator.speed_m_s + ramps_s + operator.pause_s
     return (1 + operator.repeat) * stretch_s
-
-
-def _no_room_to_brake(
-    cell: Cell, arm: scenario.Arm, addresses: ArmAddresses, belief: mink.Configuration
-) -> Iterator[str]:
-    control = cell.scenario.control
-    speed = max(
-        (job.speed_m_s for job in arm.job if not isinstance(job, scenario.Wait)), default=0.0
-    )
-    others_move = any(
-        other.operator is not None and not isinstance(other.operator, scenario.Hold)
-        for other in cell.scenario.arm
-    )
-    deceleration = braking_deceleration_m_s2(cell, addresses, belief)
-    if np.isinf(deceleration):  # No joint moves the tool's point: there is nothing to brake.
-        return
-    needed = smallest_t_min(
-        cell.period_s + control.reaction_s,
-        speed,
-        deceleration,
-        other_keeps_coming=others_move,
-    )
-    if control.t_min_s < needed:
-        yield (
-            f"control.t_min_s = {control.t_min_s:g}: too small for arm {arm.name} to brake in from {speed:g} m/s; "
-            f"allowed is {needed:.3f} s or more, or a lower speed_m_s"
-        )
-
-
-def braking_deceleration_m_s2(
-    cell: Cell, addresses: ArmAddresses, belief: mink.Configuration
-) -> float:
-    """Deceleration of the tool along its path that the joints can give in the least favourable of the six axis directions, at home."""
-    cell.place_home(belief.data)
-    belief.update()
-    jacobian = belief.get_frame_jacobian(addresses.tool_site_name, "site")[:3, addresses.dofs]
-    joint_rates = np.linalg.pinv(
-        jacobian, rcond=1e-3
-    )  # (n, 3): joint velocities for 1 m/s along each axis
-    with np.errstate(divide="ignore"):
-        return float(np.min(addresses.acceleration_limit_rad_s2[:, None] / np.abs(joint_rates)))

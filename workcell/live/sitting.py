@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from workcell.control import reaction
 from workcell.control.controller import Controller
 from workcell.guard.supervisor import LatchedCheck
 from workcell.live import pace
@@ -34,6 +35,7 @@ AHEAD_S = 0.2
 IDLE_S = 0.01
 """Time between two looks at a person who has not started yet."""
 SMALLEST_T_MIN_S = 0.1
+"""And never below what leaves every arm room to brake; see `workcell.control.reaction`."""
 
 
 @dataclass
@@ -70,6 +72,8 @@ class Sitting:
         self._take_from: int | None = None
         self._tick = 0
         self._stopped = ""
+        needed_s = max(reaction.smallest_t_min_s(cell, arm.name) for arm in cell.arms)
+        self._smallest_t_min_s = max(SMALLEST_T_MIN_S, math.ceil(1e3 * needed_s) / 1e3)
         self.wants_another = False
         """Whether the person asked for a reset."""
 
@@ -185,7 +189,7 @@ class Sitting:
         settings: dict[str, Any] = {}
         if asked.t_min_steps:
             wanted = controller.settings.t_min_s + asked.t_min_steps * T_MIN_STEP_S
-            settings["t_min_s"] = max(SMALLEST_T_MIN_S, round(wanted, 6))
+            settings["t_min_s"] = max(self._smallest_t_min_s, round(wanted, 6))
         if asked.criterion_steps:
             index = CRITERIA.index(controller.settings.criterion) + asked.criterion_steps
             settings["criterion"] = CRITERIA[index % len(CRITERIA)]
