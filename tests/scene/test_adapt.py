@@ -19,6 +19,7 @@ from workcell.scene.adapt import Wishes, adapt
 from workcell.scene.adapt.capsules import fit, fit_one
 from workcell.scene.adapt.hulls import MOST_CORNERS, hull_corners
 from workcell.scene.adapt.limits import PUBLISHED, published
+from workcell.scene.contacts import hand_bodies, meeting_pairs, tool_body
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 BALL = '<asset><mesh name="ball" vertex="{}"/></asset>'.format(
@@ -213,3 +214,23 @@ def test_the_original_is_never_replaced(tmp_path, capsys):
     path = leg(folder)
     assert main(["import", str(path), "--name", "leg", "--out", str(tmp_path)]) == 2
     assert "would replace the original" in capsys.readouterr().err
+
+
+def test_a_tool_on_a_link_without_geometry_meets_with_the_link_before(tmp_path):
+    bare = '<body name="flange" pos="0.25 0 0"><joint name="roll" axis="1 0 0" range="-90 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-5 1e-5 1e-5"/><site name="tip" zaxis="1 0 0"/></body>'
+    imported(tmp_path, Wishes(tool="tip"), more=bare)
+    arm = {"model": str(tmp_path / "out.xml"), "home_rad": [0.3, 0.4, 0.0]}
+    operator, job = {"kind": "hold"}, [{"kind": "meet", "arm": "one"}]
+    content = {
+        "name": "pair",
+        "arm": [
+            arm | {"name": "one", "operator": operator},
+            arm | {"name": "two", "base_position_m": [0.0, 0.9, 0.0], "job": job},
+        ],
+    }
+    cell = scene.build(scenario.validate(content, None), tmp_path / "scene")
+    names = {cell.model.body(tool_body(cell.model, arm)).name for arm in cell.arms}
+    assert names == {"one/shin", "two/shin"}
+    assert meeting_pairs(cell)
+    hand = {cell.model.body(b).name for b in hand_bodies(cell.model, cell.arms[0])}
+    assert hand >= {"one/flange", "one/shin", "one/thigh"}, "the bare link counts for none"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.scene.cell import Cell
-from workcell.scene.contacts import CarriedMotion, hand_bodies
+from workcell.scene.contacts import CarriedMotion, hand_bodies, tool_body
 
 
 class Grasps:
@@ -28,6 +28,7 @@ class Grasps:
         self._arms = {arm.name: arm for arm in cell.arms}
         self._items = {item.name: item for item in cell.instruments}
         self._held = {item.name: item.held_by for item in cell.instruments if item.held_by}
+        self._tools = {arm.name: tool_body(cell.model, arm) for arm in cell.arms}
         self._hands = {arm.name: hand_bodies(cell.model, arm) for arm in cell.arms}
         self._carried = CarriedMotion(cell.model)
         self.holders: dict[str, str | None] = {}
@@ -104,9 +105,8 @@ class Grasps:
 
     def part_of_hand(self, geom: int, arm: str) -> bool:
         """Whether a geom is on the arm's tool or is the instrument it holds."""
-        tool = self._cell.model.site_bodyid[self._arms[arm].tool_site]
         held = self.holding(arm)
-        return self._cell.model.geom_bodyid[geom] == tool or (
+        return self._cell.model.geom_bodyid[geom] == self._tools[arm] or (
             held is not None and geom == self._items[held].geom
         )
 

@@ -18,6 +18,7 @@ from workcell import scenario
 from workcell.errors import InputError
 from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import HELD_GAP_M, Cell
+from workcell.scene.contacts import tool_body
 
 SLACK_M = 0.02
 """Beyond what is held: two tools meet a d_min apart, and hands are this large."""
@@ -55,7 +56,7 @@ def _of_arm(
 ) -> Iterator[str]:
     judged: set[tuple[str, float]] = set()
     for index, job in enumerate(arm.job):
-        found = _meets(cell, job, tools)
+        found = _meets(cell, arm, job, tools)
         if found is None:
             continue
         what, places, slack_m = found
@@ -72,7 +73,7 @@ def _of_arm(
 
 
 def _meets(
-    cell: Cell, job: scenario.Job, tools: dict[str, NDArray[np.float64]]
+    cell: Cell, arm: scenario.Arm, job: scenario.Job, tools: dict[str, NDArray[np.float64]]
 ) -> tuple[str, list[NDArray[np.float64]], float] | None:
     """What a job goes to, every place where that is known to be, and how near the tool has to come."""
     items = {item.name: item for item in cell.scenario.instrument}
@@ -81,7 +82,8 @@ def _meets(
         item = items[job.instrument]
         if item.position_m is None:
             return None
-        slack_m = SLACK_M + HELD_GAP_M + longest_m
+        own = next(each for each in cell.arms if each.name == arm.name)
+        slack_m = SLACK_M + HELD_GAP_M + longest_m + _hand_m(cell, own)
         return f"instrument {item.name}", [np.array(item.position_m)], slack_m
     if not isinstance(job, (scenario.Meet, scenario.Present, scenario.Exchange)):
         return None
@@ -97,11 +99,28 @@ def _meets(
         case _:  # it may go anywhere
             return None
     slack_m = SLACK_M + cell.scenario.control.d_min_m
+    slack_m += sum(_hand_m(cell, each) for each in cell.arms if each.name in (arm.name, other.name))
     if items:
         slack_m += HELD_GAP_M + longest_m
     if isinstance(job, scenario.Present):
         slack_m += job.distance_m
     return f"the tool of {other.name}", places, slack_m
+
+
+def _hand_m(cell: Cell, arm: ArmAddresses) -> float:
+    """How far a hand reaches around its tool point: what it meets comes no nearer to that point."""
+    model, data = cell.model, mujoco.MjData(cell.model)
+    mujoco.mj_kinematics(model, data)
+    body = tool_body(model, arm)
+    ahead = data.site_xmat[arm.tool_site].reshape(3, 3)[:, 2]
+    reach = 0.0
+    for g in arm.geoms:
+        if model.geom_bodyid[g] == body and model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            radius, half = model.geom_size[g, :2]
+            axis = half * data.geom_xmat[g].reshape(3, 3)[:, 2]
+            offset = data.geom_xpos[g] - data.site_xpos[arm.tool_site]
+            reach = max(reach, radius, offset @ ahead + abs(axis @ ahead) + radius)
+    return float(reach)
 
 
 def _left_m(cell: Cell, arm: ArmAddresses, place_m: NDArray[np.float64], enough_m: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from workcell.control.arm import ControlledArm
 from workcell.control.arm_constraints import ArmPairs, Watched
 from workcell.control.grasp import Grasps
+from workcell.motion.jobs import Meeting
 from workcell.scene.cell import Cell
 
 
@@ -69,24 +70,26 @@ def meeting_pairs(cell: Cell, grasps: Grasps, arm: ControlledArm) -> NDArray[np.
         arm.meeting_pairs = (
             np.array([], dtype=np.intp)
             if meeting is None
-            else _brought_together(cell, grasps, arm, meeting.arm, meeting.instrument)
+            else brought_together(cell, grasps, arm.name, arm.constraints.pairs.moved, meeting)
         )
     return arm.meeting_pairs
 
 
-def _brought_together(
-    cell: Cell, grasps: Grasps, arm: ControlledArm, partner: str | None, instrument: str | None
+def brought_together(
+    cell: Cell, grasps: Grasps, arm: str, pairs: Iterable[int], meeting: Meeting
 ) -> NDArray[np.intp]:
-    moved = next((item.geom for item in cell.instruments if item.name == instrument), None)
+    """Of some pairs those between what an arm's job is to bring together, as the instruments are held now."""
+    partner = meeting.arm
+    moved = next((x.geom for x in cell.instruments if x.name == meeting.instrument), None)
 
     def meets(g: int, h: int) -> bool:
         if moved is not None and moved not in (g, h):
             return False  # a hand-over is complete when the instrument is there, not when the hands are
         return any(
-            grasps.part_of_hand(mine, arm.name)
+            grasps.part_of_hand(mine, arm)
             and (theirs == moved if partner is None else grasps.part_of_hand(theirs, partner))
             for mine, theirs in ((g, h), (h, g))
         )
 
-    found = [k for k in arm.constraints.pairs.moved if meets(*map(int, cell.pairs.geoms[k]))]
+    found = [k for k in pairs if meets(*map(int, cell.pairs.geoms[k]))]
     return np.array(found, dtype=np.intp)

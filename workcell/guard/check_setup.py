@@ -20,7 +20,7 @@ from workcell.guard.geometry import HOUSING_GROUP
 from workcell.guard.settings import DEADLINE_S, CheckSettings, Exemption, Held
 from workcell.scenario import Exchange, Fetch, Meet
 from workcell.scene.cell import Cell
-from workcell.scene.contacts import hand_bodies, window_name
+from workcell.scene.contacts import hand_bodies, tool_body, window_name
 
 DEADLINE_TICKS = 5
 """Live, an answer may take at least this many ticks: a machine that needs long ones needs its time for the check, too."""
@@ -112,9 +112,7 @@ def _exemptions(cell: Cell, d_min_m: float) -> tuple[Exemption, ...]:
     """One for every two things that jobs bring together; the fastest of several jobs sets its cap."""
     sides: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
     speed_m_s: dict[str, float] = {}
-    tools = {
-        arm.name: cell.model.body(cell.model.site_bodyid[arm.tool_site]).name for arm in cell.arms
-    }
+    tools = {arm.name: cell.model.body(tool_body(cell.model, arm)).name for arm in cell.arms}
     held = instruments_of(cell)
     for arm in cell.scenario.arm:
         for job in arm.job:

@@ -64,10 +64,12 @@ class JudgedScene:
         """The bodies of each arm that touch what it holds."""
         found = {}
         for arm, body in self.tool_body.items():
-            bodies, moved = [], 0
+            solid = {int(self.model.geom_bodyid[g]) for g in self.solids}
+            bodies, moved, touches = [], 0, False
             while body and moved < HAND_LINKS:
                 bodies.append(body)
-                moved += bool(self.model.body_jntnum[body])
+                touches |= body in solid
+                moved += touches and bool(self.model.body_jntnum[body])
                 body = int(self.model.body_parentid[body])
             found[arm] = frozenset(bodies)
         return found

@@ -18,13 +18,22 @@ HAND_BODIES = 3
 """The tool's body and the two links before it: what holds an instrument is not watched against it."""
 
 
+def tool_body(model: mujoco.MjModel, arm: ArmAddresses) -> int:
+    """The body that meets what the tool meets: the tool's own, or the nearest before it that has anything to touch with."""
+    watched = {int(model.geom_bodyid[g]) for g in arm.geoms}
+    own = body = int(model.site_bodyid[arm.tool_site])
+    while body and body not in watched:
+        body = int(model.body_parentid[body])
+    return body or own
+
+
 def hand_bodies(model: mujoco.MjModel, arm: ArmAddresses) -> frozenset[int]:
-    """The tool's body and the links right before it, as body ids."""
+    """The tool's body and the links right before it, as body ids; links without anything to touch with do not count."""
     bodies, body = [], int(model.site_bodyid[arm.tool_site])
-    moved = 0
+    first, moved = tool_body(model, arm), 0
     while body and moved < HAND_BODIES:
         bodies.append(body)
-        moved += bool(model.body_jntnum[body])
+        moved += bool(model.body_jntnum[body]) and (moved > 0 or body <= first)
         body = int(model.body_parentid[body])
     return frozenset(bodies)
 
@@ -57,7 +66,7 @@ def window_name(arm: str, partner: str) -> str:
 
 def meeting_pairs(cell: Cell) -> list[tuple[str, str]]:
     """Watched pairs that some job brings together on purpose: tools that meet, and instruments with the hands they pass through."""
-    tools = {arm.name: cell.model.site_bodyid[arm.tool_site] for arm in cell.arms}
+    tools = {arm.name: tool_body(cell.model, arm) for arm in cell.arms}
     meetings: list[set[str]] = []
     for arm in cell.scenario.arm:
         for job in arm.job:
