@@ -74,3 +74,12 @@ def test_sweep_from_python(told):
     lines = told("sweep_from_python")
     assert [line[:3] for line in lines] == [[0.5, 2, 0], [1.0, 2, 0]]
     assert all(nearest_m > 0.0 for *_, nearest_m in lines)
+
+
+@pytest.mark.long
+def test_learn_to_wait(told, monkeypatch):
+    """One round of twelve: it runs, and the best of its policies is better than the mean."""
+    monkeypatch.setattr("sys.argv", ["learn_to_wait.py", "1"])
+    ((_, _),) = told("learn_to_wait")
+    mean, best = map(float, Path("learned.csv").read_text().splitlines()[1].split())
+    assert best > mean

@@ -130,6 +130,16 @@ class Controller:
         """Names of the final check's exemptions that the present jobs hold open."""
         return [arm.window for arm in self._support if arm.window is not None]
 
+    def pairs_to_keep_apart(self, arm: str) -> NDArray[np.intp]:
+        """Numbers of the watched pairs that an arm's motion changes, without those that are to meet or are in a hand.
+
+        Raises:
+            KeyError: there is no such arm.
+        """
+        own = {each.name: each for each in self._arms}[arm]
+        moved, inactive = own.constraints.pairs.moved, self._sensing.watched.inactive
+        return moved[~inactive[moved] & ~np.isin(moved, own.meeting_pairs)]
+
     @property
     def holders(self) -> dict[str, str | None]:
         """For every instrument the arm that is to hold it; another dict after every change."""
