@@ -87,6 +87,18 @@ def test_the_first_look_of_the_final_check_is_taken_before_the_run(tmp_path):
     )
 
 
+def test_an_arm_that_touches_itself_at_the_start_is_told_how_to_say_that_it_may(tmp_path):
+    content = cells.duet()
+    content["arm"][1]["home_rad"] = [0.5, 2.6, 2.6]  # the probe is back at the first link
+    told = refusal(tmp_path, content)
+    assert "stops the arms at their start: nurse/link1" in told
+    assert (
+        'if they touch by construction, say so in the arm file: <contact><exclude body1="link1" body2="link3"/>'
+        in told
+    )
+    assert "[[ignore]]" in told
+
+
 def test_a_recording_is_opened_and_judged(tmp_path):
     told = refusal(tmp_path, cells.duet(), "arm.surgeon.operator.file=none.csv")
     assert "arm.surgeon.operator.file" in told

@@ -117,11 +117,19 @@ def _first_look(cell: Cell, checker: Checker) -> None:
         )
     )
     if answer.halt:
-        near = " and ".join(checker.geometry.pieces[k].name for k in answer.pair if k >= 0)
+        pieces = [checker.geometry.pieces[k] for k in answer.pair if k >= 0]
+        near = " and ".join(piece.name for piece in pieces) or "two pieces"
+        advice = ""
+        if len(pieces) == 2 and pieces[0].owner == pieces[1].owner:
+            one, other = (piece.body_name.partition("/")[2] for piece in pieces)
+            advice = (
+                "; if they touch by construction, say so in the arm file: "
+                f'<contact><exclude body1="{one}" body2="{other}"/></contact>, or in the scenario: [[ignore]]'
+            )
         raise refusal(
             cell,
             [
-                f"stops the arms at their start: {near or 'two pieces'} are {answer.distance_m:.4f} m apart; "
-                f"allowed is more than d_min_m = {checker.settings.d_min_m:g}"
+                f"stops the arms at their start: {near} are {answer.distance_m:.4f} m apart; "
+                f"allowed is more than d_min_m = {checker.settings.d_min_m:g}{advice}"
             ],
         )

@@ -28,7 +28,7 @@ ARM = """
     <body name="{a}/link2" pos="0 0 .12">
       <joint name="{a}/J2" axis="0 1 0"/>
       <geom name="{a}/link2_hub" type="cylinder" size=".04 .05" euler="90 0 0" class="housing"/>
-      <geom name="{a}/link2_bar" type="box" size=".03 .02 .1" pos="0 0 .14" class="housing"/>
+      <geom name="{a}/link2_bar" type="box" size=".03 .02 .08" pos="0 0 .12" class="housing"/>
       <geom name="{a}/link2_capsule" type="capsule" size=".06" fromto="0 0 0 0 0 .24" group="4"/>
       <body name="{a}/link3" pos="0 0 .26">
         <joint name="{a}/J3" axis="0 1 0"/>

@@ -9,9 +9,10 @@ import pytest
 from workcell.errors import InputError
 from workcell.guard.geometry import collect_geometry
 from workcell.guard.pairs import PairTable, choose_pairs, joints_between
+from workcell.guard.self_pairs import SelfPairs
 from workcell.guard.settings import Exemption
 
-from .cell import ARMS, scene_text
+from .cell import ARM, ARMS, scene_text
 
 
 def table_of(
@@ -35,7 +36,7 @@ def test_every_pair_is_watched_or_left_out_with_a_reason():
     said = {(row.body_i, row.body_j) for row in table.left_out}
     for a in geometry.pieces:
         for b in geometry.pieces:
-            if a.body == b.body or table.watched[index[a.name], index[b.name]]:
+            if a.body == b.body or (table.watched | table.close)[index[a.name], index[b.name]]:
                 continue
             one, other = {a.name, a.body_name}, {b.name, b.body_name}
             assert any({i, j} & one and {i, j} & other for i, j in said), (a.name, b.name)
@@ -43,7 +44,8 @@ def test_every_pair_is_watched_or_left_out_with_a_reason():
     # 7 pieces an arm: 49 between the arms less 1 of the bases; 2 x 3 obstacles x 6 moving pieces
     # less the 2 drums over the table; within each arm base-link3/4/tool, drum-link4/tool and the
     # two pieces of link2 with the tool.
-    assert table.count == 48 + 36 - 2 + 2 * (3 + 2 + 2)
+    assert np.count_nonzero(table.watched) // 2 == 48 + 36 - 2 + 2 * (3 + 2 + 2)
+    assert not (table.watched & table.close).any()
 
 
 def test_arms_are_held_against_each_other_down_to_the_base():
@@ -121,6 +123,80 @@ def test_what_overlaps_at_home_and_in_every_sampled_pose_is_left_out_by_name():
     (row,) = [r for r in table.left_out if {r.body_i, r.body_j} == {"nurse/base", "nurse/link3"}]
     assert "in all of 100 poses within the joint ranges" in row.reason
     assert row.by_name
+
+
+HINGED = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="nurse/base">
+    <geom name="nurse/mast" type="cylinder" size=".03 .2" pos="-.2 0 .1"/>
+    <body name="nurse/link1">
+      <joint name="nurse/J1" axis="0 0 1" range="{J1}"/>
+      <geom name="nurse/hub" type="cylinder" size=".03 .03"/>
+      <geom name="nurse/beam" type="box" size=".07 .01 .01" pos=".12 0 0"/>
+      <body name="nurse/link2" pos=".2 0 0">
+        <joint name="nurse/J2" axis="0 0 1" range="{J2}"/>
+        <geom name="nurse/fork" type="box" size=".02 .02 .02"/>
+        <geom name="nurse/probe" type="capsule" size=".01 .1" fromto=".05 0 0 {reach} 0 0"/>
+      </body></body></body>
+  <body name="surgeon/base" pos="3 0 0"><geom size=".1"/></body>
+</worldbody>{more}</mujoco>
+"""
+"""An arm of two joints: its hub is beside its mast, and its probe can fold back onto the beam before it."""
+
+
+def hinged(more: str = "", **parts: str) -> tuple[PairTable, dict[str, int]]:
+    ranges = {"J1": "-1 1", "J2": "-1 1", "reach": ".2", "more": more}
+    model = mujoco.MjModel.from_xml_string(HINGED.format(**ranges | parts))
+    geometry = collect_geometry(model, ARMS)
+    index = {piece.name.removeprefix("nurse/"): k for k, piece in enumerate(geometry.pieces)}
+    return choose_pairs(model, geometry, ARMS), index
+
+
+@pytest.mark.parametrize(
+    ("parts", "one", "other", "held"),
+    [
+        ({}, "beam", "probe", False),
+        ({"J2": "-3 3"}, "beam", "probe", True),  # one joint apart, folded back
+        ({"J1": "-3 3"}, "mast", "beam", True),  # one joint apart, turned round
+        ({"J1": "-3 3"}, "mast", "hub", False),  # never touching
+        ({"J2": "-3 3"}, "beam", "fork", False),  # touching in every pose
+        ({"J1": "-.5 .5", "J2": "2.6 3", "reach": ".39"}, "mast", "probe", True),  # two apart
+        ({"J1": "-.5 .5", "J2": "2.6 3", "reach": ".3"}, "mast", "probe", False),
+    ],
+)
+def test_neighbours_are_held_apart_where_their_ranges_let_them_collide(parts, one, other, held):
+    table, index = hinged(**parts)
+    assert table.close[index[one], index[other]] == held
+    assert not table.watched[index[one], index[other]]
+
+
+def test_neighbours_that_the_model_excludes_are_named_and_not_held_apart():
+    more = "<contact><exclude body1='nurse/link1' body2='nurse/link2'/></contact>"
+    table, index = hinged(more, J2="-3 3")
+    assert not table.close[index["beam"], index["probe"]]
+    (row,) = [row for row in table.left_out if "contact/exclude" in row.reason]
+    assert row.by_name
+
+
+def test_what_is_left_out_of_neighbours_says_why():
+    table, _ = hinged(J2="-3 3")
+    reasons = {(row.body_i, row.body_j): row.reason for row in table.left_out}
+    assert "thus by design" in reasons["nurse/link1", "nurse/link2"]
+    assert "not touching in any of 61 poses" in reasons["nurse/base", "nurse/link1"]
+
+
+def test_two_arms_of_one_file_are_looked_at_once(monkeypatch):
+    calls = []
+    seen = SelfPairs._over_grid
+    monkeypatch.setattr(
+        SelfPairs, "_over_grid", lambda self, *args: calls.append(args) or seen(self, *args)
+    )
+    table_of(scene_text())
+    both = len(calls)
+    calls.clear()
+    model = mujoco.MjModel.from_xml_string(scene_text(bodies=ARM.format(a="nurse", x=-0.3)))
+    choose_pairs(model, collect_geometry(model, ("nurse",)), ("nurse",))
+    assert len(calls) == both > 0
 
 
 def test_an_exclusion_of_the_model_is_honoured_and_said():

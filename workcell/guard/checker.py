@@ -64,12 +64,17 @@ class Checker:
                 settings.hands,
                 settings.home,
                 settings.ignored,
+                settings.d_min_m,
             )
         except InputError as error:
             raise InputError(error.faults, file=scene_xml) from error
         self._search = NearestSearch(
-            self.model, self.geometry, self.table.watched, ceiling_m=settings.ceiling_m
+            self.model,
+            self.geometry,
+            self.table.watched | self.table.close,
+            ceiling_m=settings.ceiling_m,
         )
+        self._has_close = bool(self.table.close.any())
         self._masks: dict[Hashable, np.ndarray] = {}
         self._grips = [_Grip() for _ in settings.instruments]
         self._before: dict[int, tuple[tuple[int, _Grips], int, float]] = {}
@@ -83,6 +88,10 @@ class Checker:
         self._search.place(request.qpos)
         gripping = self._gripping(request)
         rest = self._search.nearest(*self._watched(gripping, is_open))
+        if self._has_close:
+            close = self._search.nearest(self.table.close, "close")
+            if close.distance_m <= min(settings.d_min_m, rest.distance_m):
+                rest = close
         exempt_m, exempt_pair, fault = math.inf, (-1, -1), -1
         for k, exemption in enumerate(settings.exemptions):
             if not is_open[k]:

@@ -3,8 +3,8 @@
 The pieces of a scene come in; out go the body pairs that are watched (as a symmetric table over
 pieces), the body pairs left out, each with its reason, and which piece pairs belong to which
 exemption or which hand that holds an instrument. Watched is everything between two arms, between
-an arm or an instrument and its surroundings, and within an arm from `FAR_JOINTS` joints on, unless
-a rule below says why not.
+an arm or an instrument and its surroundings, and within an arm what could collide there
+(self_pairs.py), unless a rule below says why not.
 """
 
 from __future__ import annotations
@@ -20,15 +20,9 @@ from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.guard.geometry import WORLD, Geometry, Piece
+from workcell.guard.self_pairs import FAR_JOINTS, GRAZE_M, SAMPLES, SelfPairs
 from workcell.guard.settings import Exemption, Held
 
-# Neighbouring housings of an arm overlap by design up to two joints apart (their hubs and forks
-# enclose one another, and joint limits keep them from meeting); from three on they can meet.
-FAR_JOINTS = 3
-# Poses within the joint ranges, beside home, in which parts of one arm are looked at.
-SAMPLES = 100
-# Where a joint has no range, poses are drawn from this to either side, rad or m.
-UNLIMITED = np.pi
 # An arm's base stands on whatever its own geometry comes this near to, m. Chosen for a base
 # plate modelled a few millimetres above its table, and far below any gap a tool is led through.
 STANDING_M = 0.005
@@ -39,9 +33,9 @@ class LeftOut:
     """A pair of bodies that is not watched."""
 
     body_i: str
-    """Name of one body."""
+    """Name of one body, or of the one geom of it that this is about."""
     body_j: str
-    """Name of the other body, or of the one geom of it that this is about."""
+    """The other, likewise."""
     reason: str
     """Why."""
     by_name: bool = False
@@ -54,6 +48,9 @@ class PairTable:
 
     watched: NDArray[np.bool_]
     """(n, n), symmetric, false on the diagonal."""
+    close: NDArray[np.bool_]
+    """(n, n), likewise: pieces of one arm, one or two joints apart, that could collide. They are near one
+    another all the time, so their distance is told only where it is too small."""
     exempt: NDArray[np.bool_]
     """(number of exemptions, n, n): the watched pairs an exemption lifts while it is open."""
     held: NDArray[np.bool_]
@@ -63,8 +60,8 @@ class PairTable:
 
     @property
     def count(self) -> int:
-        """Number of watched piece pairs."""
-        return int(np.count_nonzero(self.watched)) // 2
+        """Number of piece pairs that are held apart."""
+        return int(np.count_nonzero(self.watched | self.close)) // 2
 
 
 def choose_pairs(
@@ -76,6 +73,7 @@ def choose_pairs(
     hands: tuple[tuple[str, ...], ...] = (),
     home: tuple[float, ...] = (),
     ignored: tuple[tuple[str, str, str], ...] = (),
+    d_min_m: float = 0.01,
 ) -> PairTable:
     """Decides every pair of bodies once.
 
@@ -89,6 +87,7 @@ def choose_pairs(
         home: (nq,) positions of all joints at the start; empty for the model's own zero pose,
             brought into the joint ranges.
         ignored: Names of geoms or bodies that are not held apart, and why.
+        d_min_m: Distance at which the check halts.
 
     Raises:
         InputError: If an exemption, instrument or hand names a geom or body that no piece has, or
@@ -100,27 +99,40 @@ def choose_pairs(
     of_body: dict[int, list[int]] = {}
     for index, piece in enumerate(pieces):
         of_body.setdefault(piece.body, []).append(index)
-    poses = _poses(model, home)
-    standing = _standing_on(model, poses[0], pieces, arms)
+    within = SelfPairs(model, pieces, home, d_min_m)
+    standing = _standing_on(model, within.poses[0], pieces, arms)
 
     watched = np.zeros((len(pieces), len(pieces)), dtype=bool)
+    close = np.zeros_like(watched)
     left_out: list[LeftOut] = []
     for body_i, body_j in combinations(sorted(of_body), 2):
-        first_i, first_j = pieces[of_body[body_i][0]], pieces[of_body[body_j][0]]
-        reason = _reason_to_leave_out(model, poses, pieces, owners, of_body, body_i, body_j)
+        own_i, own_j = of_body[body_i], of_body[body_j]
+        names = pieces[own_i[0]].body_name, pieces[own_j[0]].body_name
+        one_arm = pieces[own_i[0]].owner == pieces[own_j[0]].owner
+        reason = _reason_to_leave_out(model, pieces[own_i[0]], pieces[own_j[0]], owners)
         if reason:
-            left_out.append(
+            left_out.append(LeftOut(*names, reason, "model excludes" in reason))
+        elif one_arm and joints_between(model, body_i, body_j) < FAR_JOINTS:
+            near = within.near(_way(model, body_i, body_j), own_i, own_j)
+            close[np.ix_(own_i, own_j)] = near.watched
+            close[np.ix_(own_j, own_i)] = near.watched.T
+            left_out += [
                 LeftOut(
-                    first_i.body_name,
-                    first_j.body_name,
-                    reason,
-                    "design" in reason or "model excludes" in reason,
+                    pieces[own_i[a]].name,
+                    pieces[own_j[b]].name,
+                    f"same arm, grazing by {-1e3 * near.nearest_m[a, b]:.1f} mm, less than {1e3 * GRAZE_M:g} mm, in some poses",
+                    by_name=True,
                 )
-            )
-            continue
-        for i in of_body[body_i]:
-            for j in of_body[body_j]:
-                watched[i, j] = watched[j, i] = True
+                for a, b in np.argwhere(near.grazing)
+            ]
+            if near.reason:
+                left_out.append(LeftOut(*names, near.reason))
+        elif one_arm and within.always_overlap(own_i, own_j):
+            # What overlaps at home but not everywhere could collide: it is watched, and stops at the start.
+            reason = f"same arm, and overlapping at home and in all of {SAMPLES} poses within the joint ranges, thus by design"
+            left_out.append(LeftOut(*names, reason, by_name=True))
+        else:
+            watched[np.ix_(own_i, own_j)] = watched[np.ix_(own_j, own_i)] = True
     let_off = {(index, support) for index, support in standing if watched[index, support]}
     for index, support in let_off:
         watched[index, support] = watched[support, index] = False
@@ -130,8 +142,10 @@ def choose_pairs(
     for one, other, why in ignored:
         sides = [_names(pieces, name) for name in (one, other)]
         both = np.outer(sides[0], sides[1])
-        if (watched & (both | both.T)).any():
-            watched &= ~(both | both.T)
+        both |= both.T
+        if ((watched | close) & both).any():
+            watched &= ~both
+            close &= ~both
             left_out.append(LeftOut(one, other, f"ignored: {why}", by_name=True))
     for index, support in resting:
         watched[index, support] = watched[support, index] = False
@@ -143,79 +157,35 @@ def choose_pairs(
         else (np.zeros((0, *watched.shape), dtype=bool))
     )
     return PairTable(
-        watched, exempt, _in_hands(pieces, watched, instruments, hands), tuple(left_out)
+        watched,
+        close,
+        exempt,
+        _in_hands(pieces, watched, instruments, hands),
+        tuple(left_out),
     )
 
 
 def joints_between(model: mujoco.MjModel, body_i: int, body_j: int) -> int:
     """Number of joints on the way through the tree from one body to the other."""
-    ancestors_i, ancestors_j = _chain(model, body_i), _chain(model, body_j)
-    apart = set(ancestors_i) ^ set(ancestors_j)
-    return int(sum(model.body_jntnum[body] for body in apart))
+    return int(sum(model.body_jntnum[body] for body in _way(model, body_i, body_j)))
+
+
+def _way(model: mujoco.MjModel, body_i: int, body_j: int) -> list[int]:
+    """The bodies on the way through the tree from one body to the other, without their common ancestors."""
+    return sorted(set(_chain(model, body_i)) ^ set(_chain(model, body_j)))
 
 
 def _reason_to_leave_out(
-    model: mujoco.MjModel,
-    poses: list[mujoco.MjData],
-    pieces: tuple[Piece, ...],
-    movable: tuple[str, ...],
-    of_body: dict[int, list[int]],
-    body_i: int,
-    body_j: int,
+    model: mujoco.MjModel, piece_i: Piece, piece_j: Piece, movable: tuple[str, ...]
 ) -> str | None:
-    owner_i, owner_j = pieces[of_body[body_i][0]].owner, pieces[of_body[body_j][0]].owner
-    if owner_i not in movable and owner_j not in movable:
+    """Why two bodies, each told by one of its pieces, are not held apart in any pose; None if they may be."""
+    if piece_i.owner not in movable and piece_j.owner not in movable:
         return "neither belongs to an arm or is an instrument"
-    if joints_between(model, body_i, body_j) == 0:
+    if joints_between(model, piece_i.body, piece_j.body) == 0:
         return "no joint lies between them, so their distance never changes"
-    if _excluded_by_model(model, body_i, body_j):
+    if _excluded_by_model(model, piece_i.body, piece_j.body):
         return "the model excludes the pair by name (contact/exclude)"
-    if owner_i != owner_j:
-        return None
-    joints = joints_between(model, body_i, body_j)
-    if joints < FAR_JOINTS:
-        return f"same arm, only {joints} joint{'s' * (joints > 1)} apart"
-    # What overlaps at home but not everywhere could collide: it is watched, and stops at the start.
-    if all(_overlap(model, pose, pieces, of_body[body_i], of_body[body_j]) for pose in poses):
-        return f"same arm, and overlapping at home and in all of {SAMPLES} poses within the joint ranges, thus by design"
     return None
-
-
-def _poses(model: mujoco.MjModel, home: tuple[float, ...]) -> list[mujoco.MjData]:
-    """Home, then seeded random poses within the ranges of hinges and slides; other joints stay at home."""
-    start = np.array(home) if home else model.qpos0.copy()
-    single = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
-    addresses = model.jnt_qposadr[single]
-    limited = model.jnt_limited[single].astype(bool)
-    lower = np.where(limited, model.jnt_range[single, 0], -UNLIMITED)
-    upper = np.where(limited, model.jnt_range[single, 1], UNLIMITED)
-    if not home:
-        start[addresses] = np.clip(start[addresses], lower, upper)
-    rng = np.random.default_rng(0)
-    poses = []
-    for k in range(1 + SAMPLES):
-        data = mujoco.MjData(model)
-        data.qpos[:] = start
-        if k:
-            data.qpos[addresses] = rng.uniform(lower, upper)
-        mujoco.mj_kinematics(model, data)
-        poses.append(data)
-    return poses
-
-
-def _overlap(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    pieces: tuple[Piece, ...],
-    first: list[int],
-    second: list[int],
-) -> bool:
-    """Whether any piece of one body is inside a piece of the other."""
-    return any(
-        mujoco.mj_geomDistance(model, data, pieces[i].geom, pieces[j].geom, 1.0, None) <= 0.0
-        for i in first
-        for j in second
-    )
 
 
 def _standing_on(
