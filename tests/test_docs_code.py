@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ("parts.md", "session.md", "environments.md")
+PAGES = ("parts.md", "session.md", "environments.md", "robot.md")
 
 
 @pytest.mark.parametrize("page", PAGES)

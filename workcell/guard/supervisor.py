@@ -69,6 +69,11 @@ class LatchedCheck:
         self._open: set[str] = set()
 
     @property
+    def pid(self) -> int | None:
+        """Process id of the checker; None while there is none."""
+        return self._check.pid
+
+    @property
     def halted(self) -> bool:
         """Whether a verdict has called for a stop since the last reset."""
         return self._latch.latched
