@@ -58,7 +58,7 @@ def test_an_unknown_scenario_is_answered_with_those_that_exist():
         ("control.t_min_s=0", ("control.t_min_s = 0", "greater than 0")),
         ("arm.nurse.home_rad.0=nan", ("arm.nurse.home_rad", "finite")),
         ("arm.nurse.base_wxyz=[1,1,0,0]", ("arm.nurse.base_wxyz", "unit quaternion", "1.41421")),
-        ("control.criterion=best", ("control.criterion", "'best'", "'artc'", "'none'")),
+        ("control.criterion=best", ("control.criterion", "'best'", "artc, ", "none")),
         ("control.order=3", ("control.order", "3", "1 or 2")),
         ("simulation.plant=real", ("simulation.plant", "'real'", "'dynamic'", "'kinematic'")),
         ("simulation.period_s=0.5", ("simulation.period_s", "0.5", "0.02")),

@@ -13,6 +13,7 @@ from pathlib import Path
 import mujoco
 
 from workcell.control import feasible, meeting_reach
+from workcell.control.arm_criterion import ArmCriterion
 from workcell.control.steering import Strategies
 from workcell.errors import InputError, refused
 from workcell.guard.check_setup import refusal, try_checker
@@ -61,7 +62,7 @@ def admit(scenario: Scenario, folder: Path) -> Admission:
         [
             lambda: feasible.check(cell),
             lambda: meeting_reach.check(cell),
-            lambda: _strategies_can_be_made(cell),
+            lambda: _plugins_can_be_made(cell),
         ],
     )
     checker = None
@@ -85,8 +86,10 @@ def _all_of(scenario: Scenario, checks: Iterable[Callable[[], None]]) -> None:
         raise InputError(faults, file=scenario.file)
 
 
-def _strategies_can_be_made(cell: Cell) -> None:
+def _plugins_can_be_made(cell: Cell) -> None:
     Strategies(cell)
+    for arm in cell.arms:
+        ArmCriterion(cell.scenario, arm.name)
 
 
 def _enough(cell: Cell) -> None:

@@ -38,6 +38,7 @@ FILES_VARIABLE = "WORKCELL_PLUGINS"
 """Environment variable with the files given by `--plugin`, so that the processes of a study have them too."""
 
 _STRATEGIES = "workcell.control.strategies"
+_CRITERIA = "workcell.control.laws.criteria"
 BUILT_IN: dict[Kind, dict[str, str]] = {
     "strategies": {
         "ttc": f"{_STRATEGIES}.ttc:TtcStrategy",
@@ -50,11 +51,17 @@ BUILT_IN: dict[Kind, dict[str, str]] = {
         "mink_limit": f"{_STRATEGIES}.mink_limit:MinkLimit",
         "potential_field": f"{_STRATEGIES}.potential_field:PotentialField",
     },
-    "criteria": {},
+    "criteria": {
+        "artc": f"{_CRITERIA}:ARTC_SIGNED",
+        "artc_held": f"{_CRITERIA}:ARTC_HELD",
+        "artc_approaching": f"{_CRITERIA}:ARTC_APPROACHING",
+        "armd": f"{_CRITERIA}:ARMD",
+        "none": f"{_CRITERIA}:NO_CRITERION",
+    },
     "operators": {},
     "devices": {},
 }
-"""Names and where they are loaded from."""
+"""Names and where they are loaded from; a criterion of our own is a number by which the laws know it."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 from workcell import __version__, plugins
 from workcell.control.laws import arithmetic
 from workcell.scenario import Scenario
-from workcell.scenario.plugged import strategies_used
+from workcell.scenario.plugged import criteria_used, strategies_used
 from workcell.scene import contacts
 from workcell.scene.cell import Cell
 from workcell.signals import Layout
@@ -82,6 +82,9 @@ def versions(scenario: Scenario | None = None) -> dict[str, str]:
         scenario: Whose plug-ins are named, too.
     """
     packages = {name: version(name) for name in PACKAGES}
-    used = [] if scenario is None else sorted(strategies_used(scenario))
-    brought = plugins.versions(("strategies", name) for name in used)
+    used: list[tuple[plugins.Kind, str]] = []
+    if scenario is not None:
+        used += [("strategies", name) for name in sorted(strategies_used(scenario))]
+        used += [("criteria", name) for name in sorted(criteria_used(scenario))]
+    brought = plugins.versions(used)
     return {"workcell": __version__} | packages | {"kernels": arithmetic()} | brought

@@ -21,8 +21,9 @@ def test_a_new_scenario_and_a_new_arm_run_and_hold(what, tmp_path, monkeypatch):
     assert main(["run", "first.toml", "--set", "simulation.period_s=0.02"]) == 0
 
 
-def test_a_new_strategy_passes_its_own_test(tmp_path):
-    assert main(["new", "strategy", "mine", "--out", str(tmp_path)]) == 0
+@pytest.mark.parametrize("what", ["strategy", "criterion"])
+def test_a_new_strategy_and_a_new_criterion_pass_their_own_tests(what, tmp_path):
+    assert main(["new", what, "mine", "--out", str(tmp_path)]) == 0
     root = Path(workcell.__file__).parents[1]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)],

@@ -19,6 +19,7 @@ from workcell.motion.path import standing
 from workcell.scene import cell as scene
 
 ROUNDING = 1e-12
+ARTC = criteria.KINDS["artc"]
 
 
 @pytest.fixture(scope="module")
@@ -132,8 +133,9 @@ def test_every_answer_of_a_share(
     static = support and variant == "static"
     other = oracle.other(static=static)
     rows, allowed = oracle.self_motion_rows(task, other)
-    H, c = oracle.criterion(qvel, other) if push is None else (push.hessian, push.linear)
-    mine = constraints.solve(previous, task, qvel, asked, push)
+    H, c = oracle.criterion(qvel, other, task) if push is None else (push.hessian, push.linear)
+    kind = criteria.KINDS["none" if push else criterion]
+    mine = constraints.solve(previous, task, qvel, asked, kind, push)
     moved = constraints.pairs.moved
     np.testing.assert_allclose(constraints.other_m_s[moved], other[moved], rtol=0, atol=ROUNDING)
     count = len(allowed)
@@ -188,7 +190,7 @@ def test_a_number_that_is_not_finite_is_never_kept_and_is_named(cell):
     with pytest.raises(WorkcellError, match=f"watched pair {pair}: its distance nan"):
         watched.rates(np.zeros(cell.model.nv))
     with pytest.raises(FloatingPointError, match=f"arm nurse: .* in watched pair {pair}"):
-        constraints.solve(still, task, np.zeros(cell.model.nv), settings_)
+        constraints.solve(still, task, np.zeros(cell.model.nv), settings_, ARTC)
     watched.distance_m[...] = 1.0
     watched.distance_m[constraints.pairs.owned[0]] = np.nan
     assert not constraints.keeps(still, settings_)
@@ -196,7 +198,7 @@ def test_a_number_that_is_not_finite_is_never_kept_and_is_named(cell):
         constraints.allow(still, still, 0.002, settings_)
     watched.distance_m[...] = 1.0
     with pytest.raises(FloatingPointError, match=r"arm nurse: .* in joint "):
-        constraints.solve(np.full(7, np.nan), task, np.zeros(cell.model.nv), settings_)
+        constraints.solve(np.full(7, np.nan), task, np.zeros(cell.model.nv), settings_, ARTC)
 
 
 def test_a_cell_without_pairs(cell):

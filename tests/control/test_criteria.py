@@ -59,6 +59,31 @@ def test_signed_gradient_is_that_of_the_value_in_the_joint_velocities(rng):
     )
 
 
+def test_held_artc_descends_equation_18_in_the_joint_positions_with_the_rates_held(rng):
+    distance, jacobian = rng.uniform(0.1, 1.0, 6), rng.normal(size=(6, 4))
+    held = np.array([-0.3, 0.2, -0.02, 0.0, -1.0, 0.5])
+
+    def value(q):
+        there = distance + jacobian @ q
+        barrier = -laws.HELD_FLOOR * np.log(there).mean()
+        return barrier + laws.HELD_TIME_S * criteria.artc_approaching(there, held)
+
+    gradient = _difference_gradient(value, np.zeros(4))
+    goal = criteria.objective("artc_held", distance, held, jacobian)
+    np.testing.assert_allclose(goal.linear, gradient, atol=1e-6)
+    np.testing.assert_array_equal(goal.hessian, 0.0)
+
+
+def test_of_two_pairs_the_one_that_collides_sooner_counts_more_in_held_artc():
+    rows = np.eye(2)
+    goal = criteria.objective("artc_held", [0.2, 0.2], [-0.2, 0.2], rows)
+    assert goal.linear[0] == pytest.approx(
+        (laws.HELD_FLOOR + laws.HELD_TIME_S) / laws.HELD_FLOOR * goal.linear[1]
+    )
+    signed = criteria.objective("artc", [0.2, 0.2], [-0.2, 0.2], rows)
+    assert signed.linear[0] == signed.linear[1]
+
+
 def test_approaching_objective_is_the_mean_square_of_the_closing_pairs(rng):
     distance, jacobian, qvel = rng.uniform(0.1, 1.0, 6), rng.normal(size=(6, 4)), rng.normal(size=4)
     other = rng.normal(size=6)
@@ -130,7 +155,7 @@ def test_no_pairs_and_no_criterion_ask_for_nothing():
 
 def test_unknown_criterion_and_bad_numbers_are_refused_by_name():
     with pytest.raises(
-        WorkcellError, match="'ttc'; must be one of artc, artc_approaching, armd, none"
+        WorkcellError, match="'ttc'; must be one of artc, artc_held, artc_approaching, armd, none"
     ):
         criteria.objective("ttc", [1.0], [0.0], [[1.0]])
     with pytest.raises(WorkcellError, match=r"distance_m\[0\] is nan"):

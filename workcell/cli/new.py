@@ -15,7 +15,7 @@ from workcell.errors import InputError
 
 def new(
     what: Annotated[
-        Literal["strategy", "scenario", "arm"],
+        Literal["strategy", "criterion", "scenario", "arm"],
         tyro.conf.Positional,
         tyro.conf.arg(help="what to write a start for"),
     ],
@@ -23,7 +23,7 @@ def new(
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR", help="folder; made if missing")] = Path(),
 ) -> int:
-    """Write a working example of a strategy (with its test), a scenario, or an arm with a scenario."""
+    """Write a working example of a strategy or a criterion (with its test), a scenario, or an arm with a scenario."""
     for file in write(what, name, out):
         stdout.print(str(file), markup=False)
     return OK

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm_constraints import ArmConstraints
+from workcell.control.arm_criterion import ArmCriterion
 from workcell.control.ik import ArmIk
 from workcell.control.servo import ServoCommand
 from workcell.control.tick import ArmTick, Steering
@@ -65,6 +66,7 @@ class ControlledArm:
             task_gain_per_s=control.task_gain_per_s,
             criterion_gain=control.criterion_gain,
         )
+        self.criterion = ArmCriterion(cell.scenario, addresses.name)
         self.servo = ServoCommand(addresses, dt_s=dt)
         self.constraints: ArmConstraints
         """Its part of the watched pairs; another one whenever an instrument changes hands."""

@@ -16,7 +16,7 @@ import mink
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control.criteria import KINDS, NullspaceObjective
+from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import ArmIk, IkSolution
 from workcell.control.laws import criteria, pair_rule, program, speed_scale, time_to_collision
 from workcell.control.laws.pair_rule import TASK_SLACK_M_S
@@ -245,6 +245,7 @@ class ArmConstraints:
         task_rad_s: Array,
         qvel: Array,
         settings: Control,
+        kind: int,
         push: NullspaceObjective | None = None,
     ) -> IkSolution:
         """The arm's inverse kinematics: its tool's task, its criterion, no self-motion that brings a pair below t_min.
@@ -254,7 +255,8 @@ class ArmConstraints:
             task_rad_s: (n,) the smallest motion that does what the tool is to do (`ArmIk.aim`).
             qvel: (nv,) measured velocities.
             settings: In force.
-            push: What the null space is to do instead of the criterion.
+            kind: The criterion; see `laws.criteria`.
+            push: What the null space is for where that is `NO_CRITERION` or `GIVEN`; None for nothing.
 
         Raises:
             FloatingPointError: a number is not finite.
@@ -263,9 +265,9 @@ class ArmConstraints:
         ik.take(self._configuration)
         self._task[...], self._before[...] = task_rad_s, previous_rad_s
         self._qvel[...] = qvel
-        kind, wish = KINDS[settings.criterion], self._nothing
+        wish = self._nothing
         if push is not None:
-            kind, wish = criteria.NO_CRITERION, self._push
+            wish = self._push
             wish[0][...], wish[1][...] = push.hessian, push.linear
         static = self.support and settings.variant == "static"
         code, culprit, rows = program.arm_program(

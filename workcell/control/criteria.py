@@ -9,27 +9,24 @@ Plain arrays; pass the rows of an arm's pairs and the columns of its dofs. The a
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workcell import plugins
 from workcell.control.finite import alike, finite
 from workcell.control.laws import criteria as laws
 from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
 
-CriterionName = Literal["artc", "artc_approaching", "armd", "none"]
-CRITERIA: tuple[CriterionName, ...] = ("artc", "artc_approaching", "armd", "none")
-
 KINDS: dict[str, int] = {
-    "artc": laws.ARTC_SIGNED,
-    "artc_approaching": laws.ARTC_APPROACHING,
-    "armd": laws.ARMD,
-    "none": laws.NO_CRITERION,
+    name: plugins.load("criteria", name) for name in plugins.BUILT_IN["criteria"]
 }
-"""What the laws know a criterion by."""
+"""The numbers by which the laws know our own criteria."""
+CRITERIA: tuple[str, ...] = tuple(KINDS)
+"""Their names."""
 
 
 class NullspaceObjective(NamedTuple):
@@ -79,7 +76,7 @@ def armd_gradient(distance_m: ArrayLike, jacobian: ArrayLike) -> Array:
 
 
 def objective(
-    criterion: CriterionName,
+    criterion: str,
     distance_m: ArrayLike,
     rate_m_s: ArrayLike,
     jacobian: ArrayLike,
@@ -88,14 +85,15 @@ def objective(
 ) -> NullspaceObjective:
     """The quadratic objective in an arm's joint velocities that descends a criterion.
 
-    "artc" and "armd" are linear: they need damping (or bounds) from whoever minimises them.
+    "artc", "artc_held" and "armd" are linear: they need damping (or bounds) from whoever minimises them.
     "artc_approaching" is the least-squares residual (1/2P) sum of ((G q' + b)/d)^2 over the
     pairs that close now.
 
     Args:
         criterion: One of `CRITERIA`.
         distance_m: (P,) of the arm's pairs.
-        rate_m_s: (P,) total rates, which decide what closes; used by "artc_approaching" only.
+        rate_m_s: (P,) total rates, which decide what closes; used by "artc_approaching", and by "artc_held", which
+            wants them without the arm's own self-motion.
         jacobian: (P, n) in m/rad, columns of the arm's own joints.
         other_rate_m_s: b, (P,) or 0: the part of the rate that other arms cause. 0 is the static
             variant (paper equation 12).

@@ -103,7 +103,7 @@ class Sensing:
         mujoco.mj_objectVelocity(self._model, self.belief.data, _SITE, site, self._twist, 0)
         mujoco.mju_mat2Quat(wxyz, self._site_xmat[site])
         artc, armd = arm.constraints.surroundings(
-            approaching=settings.criterion == "artc_approaching"
+            approaching=arm.criterion.counts_approaching(settings)
         )
         elbow = addresses.elbow_site
         return ArmSensed(

@@ -89,7 +89,9 @@ class Strategies:
         if arm.name in self._lost:
             return braking(view, FAULT)
         name, pairs = self._names[arm.name], len(view.distance_m)
-        built_in = plugins.is_built_in("strategies", name)
+        built_in = plugins.is_built_in("strategies", name) and plugins.is_built_in(
+            "criteria", arm.criterion.name(view.settings)
+        )
 
         def answer() -> Steering:
             if self._together is not None:

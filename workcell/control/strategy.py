@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from workcell.control.arm_constraints import Allowance, Keeping
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import IkSolution
+from workcell.control.laws.criteria import GIVEN, NO_CRITERION
 from workcell.control.tick import ArmSensed, ArmSetpoint, Sensed, Steering
 from workcell.errors import ControlFault
 from workcell.scenario import Control
@@ -218,10 +219,19 @@ class ArmView:
 
         Raises:
             ControlFault: a number is not finite.
+            CriterionFault: a criterion from outside gave no answer that can be used.
         """
+        criterion, kind = self._arm.criterion, NO_CRITERION
+        if push is None:
+            kind = criterion.kind(self.settings)
+        if kind == GIVEN:
+            averaged = self._constraints.pairs.averaged
+            rows = self.rows(averaged)
+            held_m_s = self.other_m_s[averaged] + rows @ self.task_rad_s
+            push = criterion.objective(self.settings, self.distance_m[averaged], held_m_s, rows)
         try:
             found = self._constraints.solve(
-                self.nominal_rad_s, self.task_rad_s, self.sensed.qvel, self.settings, push
+                self.nominal_rad_s, self.task_rad_s, self.sensed.qvel, self.settings, kind, push
             )
         except FloatingPointError as error:
             raise ControlFault(self.sensed.tick, str(error)) from error

@@ -9,17 +9,15 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.errors import InputError
 from workcell.extras import need
-from workcell.scenario import Criterion, Entry
+from workcell.scenario import Entry
 
-CRITERIA: tuple[str, ...] = get_args(Criterion)
-"""In the order in which the key goes through them."""
 T_MIN_STEP_S = 0.1
 KEY_SPEED_M_S = 0.1
 KEY_TURN_RAD_S = 0.5

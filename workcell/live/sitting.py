@@ -16,10 +16,11 @@ import numpy as np
 
 from workcell.control import reaction
 from workcell.control.controller import Controller
+from workcell.control.criteria import CRITERIA
 from workcell.guard.supervisor import LatchedCheck
 from workcell.live import pace
 from workcell.live.desk import RUNNING, Desk, Picture, Say, Tool
-from workcell.live.devices import CRITERIA, T_MIN_STEP_S, DeviceInput
+from workcell.live.devices import T_MIN_STEP_S, DeviceInput
 from workcell.live.latency import InputLatency
 from workcell.live.marker import Pose, is_short
 from workcell.live.status import status
@@ -191,8 +192,10 @@ class Sitting:
             wanted = controller.settings.t_min_s + asked.t_min_steps * T_MIN_STEP_S
             settings["t_min_s"] = max(self._smallest_t_min_s, round(wanted, 6))
         if asked.criterion_steps:
-            index = CRITERIA.index(controller.settings.criterion) + asked.criterion_steps
-            settings["criterion"] = CRITERIA[index % len(CRITERIA)]
+            # The scenario's own may be a plug-in's.
+            names = list(dict.fromkeys([*CRITERIA, self._cell.scenario.control.criterion]))
+            index = names.index(controller.settings.criterion) + asked.criterion_steps
+            settings["criterion"] = names[index % len(names)]
         if asked.entry is not None:
             settings["entry"] = asked.entry
         if settings:

@@ -13,24 +13,32 @@ if TYPE_CHECKING:
 
 def strategies_used(scenario: Scenario) -> set[str]:
     """Names of the strategies that steer an arm of the scenario."""
-    return {scenario.control.strategy, *(arm.strategy for arm in scenario.arm if arm.strategy)}
+    return set(_named(scenario, "strategies").values())
 
 
-def strategy_faults(scenario: Scenario) -> list[str]:
-    """Strategies that do not exist, and options that a strategy does not take; empty if there are none."""
+def criteria_used(scenario: Scenario) -> set[str]:
+    """Names of the criteria that an arm of the scenario has at some time."""
+    return set(_named(scenario, "criteria").values())
+
+
+def plugin_faults(scenario: Scenario) -> list[str]:
+    """Plug-ins that do not exist, and options that they do not take; empty if there are none."""
     faults: list[str] = []
-    named = [("control.strategy", scenario.control.strategy)]
-    named += [(f"arm.{arm.name}.strategy", arm.strategy) for arm in scenario.arm if arm.strategy]
-    named += [(f"strategy.{name}", name) for name in scenario.strategy]
-    for key, name in named:
-        try:
-            plugins.find("strategies", name)
-        except InputError as error:
-            faults += [f"{key}: {fault}" for fault in error.faults]
-    if not faults:
-        for name, given in scenario.strategy.items():
+    for kind in ("strategies", "criteria"):
+        tables = getattr(scenario, plugins.SINGULAR[kind])
+        named = _named(scenario, kind) | {
+            f"{plugins.SINGULAR[kind]}.{name}": name for name in tables
+        }
+        for key, name in named.items():
             try:
-                plugins.options("strategies", name, given)
+                plugins.find(kind, name)
+            except InputError as error:
+                faults += [f"{key}: {fault}" for fault in error.faults]
+        if faults:
+            continue
+        for name, given in tables.items():
+            try:
+                plugins.options(kind, name, given)
             except InputError as error:
                 faults += error.faults
     for arm in scenario.arm:
@@ -39,3 +47,13 @@ def strategy_faults(scenario: Scenario) -> list[str]:
                 f"arm.{arm.name}.strategy: only an arm with jobs is steered by a strategy; this one follows its operator"
             )
     return faults
+
+
+def _named(scenario: Scenario, kind: plugins.Kind) -> dict[str, str]:
+    """What a scenario names of a kind, by key."""
+    one = plugins.SINGULAR[kind]
+    named = {f"control.{one}": getattr(scenario.control, one)}
+    named |= {f"arm.{arm.name}.{one}": getattr(arm, one) for arm in scenario.arm}
+    if kind == "criteria":
+        named |= {f"change.{k}.{one}": change.criterion for k, change in enumerate(scenario.change)}
+    return {key: name for key, name in named.items() if name}

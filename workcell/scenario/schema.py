@@ -26,7 +26,7 @@ from pydantic import (
 from workcell.scenario.checks import fits_together
 from workcell.scenario.jobs import Job
 from workcell.scenario.operators import Operator
-from workcell.scenario.plugged import strategy_faults
+from workcell.scenario.plugged import plugin_faults
 from workcell.scenario.values import (
     MOST_ARMS,
     MOST_ENTRIES,
@@ -76,16 +76,13 @@ class Simulation(Table):
     dropped_fraction: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
 
 
-Criterion = Literal["artc", "artc_approaching", "armd", "none"]
-
-
 class Control(Table):
     """Parameters of the controller; docs/scenario.md gives the reason for each default."""
 
     t_min_s: Duration = 1.0
     d_min_m: Length = 0.01
     standoff_m: LengthOrZero = 0.0
-    criterion: Criterion = "artc"
+    criterion: Label = "artc"
     order: Literal[1, 2] = 1
     variant: Literal["relative", "static"] = "relative"
     criterion_gain: NonNegative = 8.0
@@ -124,6 +121,7 @@ class Arm(Table):
     velocity_limit_rad_s: tuple[Speed, ...] | None = None
     acceleration_limit_rad_s2: tuple[Acceleration, ...] | None = None
     strategy: Label | None = None
+    criterion: Label | None = None
     operator: Operator | None = None
     job: Annotated[tuple[Job, ...], Field(max_length=MOST_JOBS)] = ()
     job_repeat: Annotated[int, Field(ge=1, le=MOST_JOBS)] = 1
@@ -210,7 +208,7 @@ class Change(Table):
 
     time_s: DurationOrZero
     t_min_s: Duration | None = None
-    criterion: Criterion | None = None
+    criterion: Label | None = None
     entry: Entry | None = None
 
     @model_validator(mode="after")
@@ -317,6 +315,7 @@ class Scenario(Table):
     ignore: Annotated[tuple[Ignore, ...], Field(max_length=MOST_THINGS)] = ()
     change: Annotated[tuple[Change, ...], Field(max_length=MOST_ENTRIES)] = ()
     strategy: dict[Label, dict[str, Any]] = Field(default_factory=dict, max_length=MOST_ENTRIES)
+    criterion: dict[Label, dict[str, Any]] = Field(default_factory=dict, max_length=MOST_ENTRIES)
     expect: dict[Label, Annotated[Bound, BeforeValidator(_as_bound)]] = Field(
         default_factory=dict, max_length=MOST_ENTRIES
     )
@@ -325,7 +324,7 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scenario:
-        faults = fits_together(self) or strategy_faults(self)
+        faults = fits_together(self) or plugin_faults(self)
         if faults:
             raise ValueError("\n".join(faults))
         return self

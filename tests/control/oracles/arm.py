@@ -32,12 +32,14 @@ class ArmOracle:
             return np.zeros(len(self.watched.distance_m))
         return (self.watched.jacobian @ velocities.T).min(axis=1)
 
-    def criterion(self, qvel, other) -> tuple[np.ndarray, np.ndarray]:
+    def criterion(self, qvel, other, task) -> tuple[np.ndarray, np.ndarray]:
         """H and c, with the push from the stops."""
         pairs, arm, ik = self.constraints.pairs.averaged, self.constraints.arm, self.constraints.ik
         rows = self.rows(pairs)
         rate = rows @ qvel[self.dofs] if self.constraints.support else self.watched.rate_m_s[pairs]
         name = self.settings.criterion
+        if name == "artc_held":
+            rate = other[pairs] + rows @ task
         H, c = rule.objective(name, self.watched.distance_m[pairs], rate, rows, other[pairs])
         if name != "none":
             q = ik.qpos[arm.qpos]

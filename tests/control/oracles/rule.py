@@ -68,6 +68,9 @@ def objective(name, distance, rate, rows, other) -> tuple[np.ndarray, np.ndarray
         return np.zeros((n, n)), -(rows / floored).sum(axis=0) / pairs
     if name == "armd":
         return np.zeros((n, n)), -(rows / floored**2).sum(axis=0) / pairs
+    if name == "artc_held":
+        weight = (0.8 + 8.0 * np.maximum(0.0, -rate) / floored[:, 0]) / floored[:, 0]
+        return np.zeros((n, n)), -(weight @ rows) / pairs
     if name == "artc_approaching":
         scaled = np.where((rate < 0.0)[:, None], rows / floored, 0.0)
         return scaled.T @ scaled / pairs, scaled.T @ (other / floored[:, 0]) / pairs

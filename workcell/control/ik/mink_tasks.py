@@ -15,7 +15,7 @@ from mink.limits.limit import Constraint
 from mink.tasks.task import BaseTask, Objective
 from numpy.typing import NDArray
 
-from workcell.control.criteria import CRITERIA, CriterionName, NullspaceObjective, objective
+from workcell.control.criteria import CRITERIA, NullspaceObjective, objective
 from workcell.control.finite import at_least_zero, joint_indices, positive
 from workcell.control.laws.joint_limits import joint_box
 from workcell.control.laws.pair_rule import smallest_rates
@@ -119,7 +119,7 @@ class CriterionTask(BaseTask):
         dt_s: float,
         gain: float,
         geometry: PairGeometry | None = None,
-        criterion: CriterionName = "artc",
+        criterion: str = "artc",
     ):
         self.dofs = joint_indices(dofs, nv)
         self.gain = at_least_zero("gain", gain)
@@ -129,7 +129,7 @@ class CriterionTask(BaseTask):
                 f"criterion is {criterion!r}; allowed: {', '.join(CRITERIA)}"
                 + did_you_mean(str(criterion), CRITERIA)
             )
-        self.criterion: CriterionName = criterion
+        self.criterion = criterion
         self._dt_s = positive("dt_s", dt_s)
         self._eye = np.zeros((nv, nv))
         self._eye[self.dofs, self.dofs] = 1.0

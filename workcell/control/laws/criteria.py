@@ -10,8 +10,14 @@ import math
 
 from workcell.control.laws import law, part
 
-ARTC_SIGNED, ARTC_APPROACHING, ARMD, NO_CRITERION = 0, 1, 2, 3
-"""The criteria by number."""
+ARTC_SIGNED, ARTC_APPROACHING, ARMD, NO_CRITERION, ARTC_HELD, GIVEN = 0, 1, 2, 3, 4, 5
+"""The criteria by number; the H and c of `GIVEN` are worked out elsewhere."""
+
+HELD_TIME_S = 8.0
+"""Weight of 1/t against `HELD_FLOOR` in `ARTC_HELD`. In trials 64 (0.1 + 1/t) was good in every scene at one gain; 8 is the
+shipped `criterion_gain`, which multiplies it."""
+HELD_FLOOR = 0.8
+"""What a pair counts in `ARTC_HELD` that does not close: a log barrier at a tenth, without which room is lost (12 mm in trials)."""
 
 DISTANCE_FLOOR_M = 1e-3
 """Distances below this count as this, touching and penetrating pairs included.
@@ -62,12 +68,15 @@ def objective(kind, jacobian, distance, rate, other, index, dof, hessian, linear
 
     ARMD: c = -(1/P) sum G/d^2. Signed ARTC: c = -(1/P) sum G/d, also the gradient in the joint positions of
     the log barrier -(1/P) sum ln d. Approaching ARTC is the residual (1/2P) sum ((G q' + b)/d)^2 over the
-    pairs that close: H = (1/P) sum G'G/d^2, c = (1/P) sum G' b/d^2.
+    pairs that close: H = (1/P) sum G'G/d^2, c = (1/P) sum G' b/d^2. Held ARTC is (18) as a criterion of the
+    joint positions, the rates held: with 1/t = max(0, -r/d) its gradient is -(1/P) sum (1/t) G/d, so that a pair
+    counts the more the sooner it collides; c = -(1/P) sum (floor + time/t) G/d.
 
     Args:
-        kind: `ARTC_SIGNED`, `ARTC_APPROACHING`, `ARMD` or `NO_CRITERION`.
+        kind: One of the numbers above; `NO_CRITERION` and `GIVEN` ask for nothing here.
         jacobian, distance: (P, nv), (P,).
-        rate: (P,) decides what closes; read for `ARTC_APPROACHING` only.
+        rate: (P,) decides what closes; read for `ARTC_APPROACHING` and `ARTC_HELD` only, for which it is r, the rate
+            without the arm's own self-motion.
         other: b (P,) the part of the rate that other arms cause; likewise.
         index: The pairs that are averaged.
         dof: (n,) joints of the arm.
@@ -80,7 +89,7 @@ def objective(kind, jacobian, distance, rate, other, index, dof, hessian, linear
     n = len(dof)
     hessian[:, :] = 0.0
     linear[:] = 0.0
-    if kind == NO_CRITERION:
+    if kind in (NO_CRITERION, GIVEN):
         return -1
     for pair in index:
         given, d = distance[pair], floored(distance[pair])
@@ -95,7 +104,12 @@ def objective(kind, jacobian, distance, rate, other, index, dof, hessian, linear
                     for b in range(n):
                         hessian[a, b] += scaled * (jacobian[pair, dof[b]] / d)
         else:
-            weight = -1.0 / d if kind == ARTC_SIGNED else -1.0 / (d * d)
+            weight = -1.0 / d
+            if kind == ARMD:
+                weight = -1.0 / (d * d)
+            elif kind == ARTC_HELD:
+                given += rate[pair]
+                weight *= HELD_FLOOR + HELD_TIME_S * max(0.0, -rate[pair]) / d
             for a in range(n):
                 linear[a] += weight * jacobian[pair, dof[a]]
         if not math.isfinite(given):

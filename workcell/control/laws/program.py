@@ -11,7 +11,13 @@ from __future__ import annotations
 import math
 
 from workcell.control.laws import law
-from workcell.control.laws.criteria import NO_CRITERION, objective, push_from_stops
+from workcell.control.laws.criteria import (
+    ARTC_HELD,
+    GIVEN,
+    NO_CRITERION,
+    objective,
+    push_from_stops,
+)
 from workcell.control.laws.joint_limits import joint_box
 from workcell.control.laws.pair_rule import predicted_rates, self_motion_rows
 
@@ -97,7 +103,7 @@ def arm_program(
         qvel: (nv,) measured velocities.
         kind: The criterion; see `criteria.objective`.
         own_rates: Whether the criterion takes what closes from the arm's own part of the rates.
-        push_hessian, push: (n, n) and (n,) what the null space is for where `kind` is `NO_CRITERION`.
+        push_hessian, push: (n, n) and (n,) what the null space is for where `kind` is `NO_CRITERION` or `GIVEN`.
         gain: Weight of the criterion.
         t_min, standoff, d_min: Of the rule.
         qpos, address, lower_rad, upper_rad, fastest, acceleration, previous, period: Of `joint_limits.joint_box`.
@@ -113,7 +119,14 @@ def arm_program(
     if bad >= 0:
         return PAIR_NOT_FINITE, bad, 0
     closing = rate
-    if own_rates:
+    if kind == ARTC_HELD:
+        closing = work[: len(rate)]
+        for pair in averaged:
+            held = other[pair]
+            for k in range(len(dof)):
+                held += jacobian[pair, dof[k]] * task[k]
+            closing[pair] = held
+    elif own_rates:
         closing = work[: len(rate)]
         for pair in averaged:
             own = 0.0
@@ -123,9 +136,9 @@ def arm_program(
     bad = objective(kind, jacobian, distance, closing, other, averaged, dof, H, c)
     if bad >= 0:
         return PAIR_NOT_FINITE, bad, 0
-    if kind == NO_CRITERION:
+    if kind in (NO_CRITERION, GIVEN):
         H[:, :], c[:] = push_hessian, push
-    elif gain != 0.0:
+    if kind != NO_CRITERION and gain != 0.0:
         bad = push_from_stops(qpos, address, lower_rad, upper_rad, gain, c)
         if bad >= 0:
             return JOINT_NOT_FINITE, bad, 0
