@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.judge.own_parts import GRAZE_M
 from workcell.judge.scene import JudgedScene
 from workcell.judge.watch import PairWatch
 
@@ -85,14 +86,24 @@ class ContactWatch:
         self.scene = scene
         self._clear_m = clear_m
         model = scene.model
-        self._watch = PairWatch(model, scene.solid_pairs)
-        self._data, self._apart = mujoco.MjData(model), mujoco.MjData(model)
-        bodies = model.geom_bodyid[scene.solid_pairs]
+        pairs = np.concatenate([scene.solid_pairs, scene.neighbours])
+        self._watch = PairWatch(model, pairs)
+        neighbours = np.arange(len(pairs)) >= len(scene.solid_pairs)
+        self._touch_m = np.where(neighbours, -GRAZE_M, 0.0)
+        """(P,) distance from which on a pair touches."""
+        self._watch.lower_m[
+            neighbours
+        ] = -np.inf  # Nothing is known of them yet, not even that they are apart.
+        self._data, self._moved = mujoco.MjData(model), mujoco.MjData(model)
+        bodies = model.geom_bodyid[pairs]
         meets = {
             frozenset(int(model.geom_bodyid[model.geom(name).id]) for name in pair)
             for pair in meeting or []
         }
-        self._meeting = np.array([frozenset(pair) in meets for pair in bodies.tolist()], dtype=bool)
+        self._apart = ~neighbours & np.array(
+            [frozenset(pair) not in meets for pair in bodies.tolist()], dtype=bool
+        )
+        """(P,) pairs whose distance counts as the smallest: not those that are meant to meet, nor neighbours."""
         self._in_hand = {
             (item, arm): np.array(
                 [
@@ -144,13 +155,15 @@ class ContactWatch:
         watch.move(data)
         off = self._off(data, holders)
         limit = max(self.smallest_m, min(self.smallest_support_m, CEILING_M), TOUCH_M)
+        limit = np.where(self._touch_m < 0.0, self._touch_m, limit)
         near = np.flatnonzero((watch.lower_m < limit) & ~off)
         if not near.size:
             self._touching.clear()
             self._before = np.array(qpos), np.array(qvel)
             return
         distance = watch.measure(data, near)
-        for k in near[distance <= 0.0].tolist():
+        touching = near[distance <= self._touch_m[near]].tolist()
+        for k in touching:
             if k not in self._touching and len(self.contacts) < MOST_CONTACTS:
                 shares = self._shares(k, qpos, qvel, holders)
                 if self._before and max(map(abs, shares.values()), default=0.0) <= CAUSING_M_S:
@@ -158,8 +171,8 @@ class ContactWatch:
                     shares = self._shares(k, *self._before, holders)
                 self.contacts.append(Contact(time_s, self._names(k), shares, self.scene.support))
         self._before = np.array(qpos), np.array(qvel)
-        self._touching = set(near[distance <= 0.0].tolist())
-        apart = ~self._meeting[near]
+        self._touching = set(touching)
+        apart = self._apart[near]
         if apart.any():
             best = near[apart][distance[apart].argmin()]
             if watch.lower_m[best] < self.smallest_m:
@@ -229,7 +242,7 @@ class ContactWatch:
         return (behind - ahead) / (2.0 * DIFFERENCE_S)
 
     def _distance_m(self, pair: int, qpos: Array, qvel: Array, dt_s: float) -> float:
-        model, data = self.scene.model, self._apart
+        model, data = self.scene.model, self._moved
         moved = np.array(qpos)
         mujoco.mj_integratePos(model, moved, qvel, dt_s)
         data.qpos[:] = moved

@@ -1,10 +1,10 @@
 """Whose each geom is, and which pairs of solids may touch: from the scene file and the scenario's settings alone.
 
 A solid is a geom of the housings (group 2), or of a body without any whatever is not a watched capsule
-(group 4), or its capsules if it has nothing else. Not judged, since they touch by design: bodies of one arm
-fewer than three joints apart, or overlapping in the model's reference pose; the first moving link and what
-its base stands on; what the model excludes or the scenario ignores; an instrument and what it lies on; and, while it is held
-and until it has been clear once, an instrument and the hand.
+(group 4), or its capsules if it has nothing else. Not judged, since they touch by design: parts of one arm
+of which poses say so (own_parts.py); the first moving link and what its base stands on; what the model
+excludes or the scenario ignores; an instrument and what it lies on; and, while it is held and until it
+has been clear once, an instrument and the hand.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.judge.own_parts import OwnParts
+
 HOUSING_GROUP, CAPSULE_GROUP = 2, 4
 FAR_JOINTS = 3
-"""Bodies of one arm so many joints apart can meet; nearer ones enclose one another by design."""
+"""Bodies of one arm so many joints apart can meet anywhere; nearer ones interlock."""
 STANDING_M = 0.005
 """A base stands on what it comes this near to in the reference pose."""
 HAND_LINKS = 3
@@ -45,6 +47,7 @@ class JudgedScene:
         self.about = {arm["name"]: arm for arm in settings["arm"]}
         self.support = tuple(arm for arm in self.arms if self.about[arm].get("job"))
         """Arms that do jobs; the others are driven by people."""
+        self._clear_m = float(settings["control"]["d_min_m"])
         self.instruments = {item["name"]: item for item in settings.get("instrument", [])}
         self._ignore = settings.get("ignore", [])
         self.tool_site = {
@@ -85,27 +88,43 @@ class JudgedScene:
             found += housings or rest or own
         return found
 
-    @cached_property
+    @property
     def solid_pairs(self) -> NDArray[np.intp]:
-        """(P, 2) geoms that may not touch."""
+        """(P, 2) geoms that may not touch, neighbours apart."""
+        return self._pairs[0]
+
+    @property
+    def neighbours(self) -> NDArray[np.intp]:
+        """(Q, 2) geoms of one arm, one or two joints apart, that may not enter one another."""
+        return self._pairs[1]
+
+    @cached_property
+    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         model, reference = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(model, reference)
+        parts = OwnParts(model, self._clear_m)
         of_body: dict[int, list[int]] = {}
         for g in self.solids:
             of_body.setdefault(int(model.geom_bodyid[g]), []).append(g)
-        found: list[tuple[int, int]] = []
+        far: list[tuple[int, int]] = []
+        near: list[tuple[int, int]] = []
         for a, b in combinations(sorted(of_body), 2):
             if not self._may_meet(a, b):
                 continue
             pairs = [(g, h) for g in of_body[a] for h in of_body[b]]
-            if self.owner[a] == self.owner[b] and any(
-                mujoco.mj_geomDistance(model, reference, g, h, 1.0, None) <= 0.0 for g, h in pairs
-            ):
-                continue
-            found += pairs
+            joints = sorted(self._above[a] ^ self._above[b])
+            if self.owner[a] != self.owner[b]:
+                far += pairs
+            elif len(joints) < FAR_JOINTS:
+                near += parts.that_can_collide(joints, pairs)
+            elif not parts.always_touch(pairs):
+                far += pairs
         by_design = self._standing(reference, of_body) | self._resting() | self._ignored()
-        kept = [pair for pair in found if frozenset(pair) not in by_design]
-        return np.array(kept, dtype=np.intp).reshape(-1, 2)
+        judged, neighbours = (
+            np.array([p for p in found if frozenset(p) not in by_design], np.intp).reshape(-1, 2)
+            for found in (far, near)
+        )
+        return judged, neighbours
 
     def name(self, geom: int) -> str:
         """The geom's name; of an unnamed one its body's, and which of its geoms it is."""
@@ -138,8 +157,7 @@ class JudgedScene:
         signature = (min(a, b) << 16) + max(a, b)
         if joints == 0 or signature in self.model.exclude_signature:
             return False
-        owners = {self.owner[a], self.owner[b]}
-        return owners != {None} and (len(owners) > 1 or joints >= FAR_JOINTS)
+        return {self.owner[a], self.owner[b]} != {None}
 
     def _standing(
         self, reference: mujoco.MjData, of_body: Mapping[int, list[int]]
