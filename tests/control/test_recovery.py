@@ -9,6 +9,8 @@ import pytest
 from workcell.control.recovery import (
     ATTEMPT_S,
     ATTEMPTS,
+    DETOUR,
+    DETOUR_S,
     IMPASSE_S,
     PAUSED_SHARE,
     PROGRESS_S,
@@ -172,3 +174,32 @@ def test_a_new_path_forgets_what_stood_in_the_way_of_the_old_one():
 def test_impasses_are_not_resolved_where_that_is_switched_off():
     states = stand(Recovery(period_s=DT, resolves=False), 2 * IMPASSE_S)
     assert {(state.attempt, state.impasse) for state in states} == {("", False)}
+
+
+def detour(machine: Recovery, seconds: float, start_s: float, *, on_path: bool, rate: float = 1.0):
+    """A path whose clock goes on while the tool is off it, or back at it."""
+    return [
+        machine.advance(
+            must_yield=False, clock_s=start_s + k * rate * DT, moving=True, on_path=on_path
+        )
+        for k in range(1, round(seconds / DT) + 1)
+    ]
+
+
+def test_a_detour_comes_first_and_lasts_until_the_tool_is_back_at_its_path():
+    machine = Recovery(period_s=DT, detours=True)
+    assert {s.attempt for s in stand(machine, DETOUR_S)} == {""}
+    assert stand(machine, DT)[-1].attempt == DETOUR
+    under_way = detour(machine, 4 * ATTEMPT_S, 1.0, on_path=False)
+    assert {(s.attempt, s.paused) for s in under_way} == {(DETOUR, False)}
+    assert detour(machine, DT, 1.0 + 4 * ATTEMPT_S, on_path=True)[-1].attempt == ""
+
+
+def test_a_detour_that_wins_nothing_gives_way_to_the_other_attempts():
+    machine = Recovery(period_s=DT, detours=True)
+    states = stand(machine, DT + DETOUR_S + ATTEMPT_S + ALL_ATTEMPTS_S + 1.0)
+    tried = [attempt for attempt, _ in groupby(state.attempt for state in states)]
+    assert tried == ["", DETOUR, *ATTEMPTS, ""]
+    pressed = Recovery(period_s=DT, detours=True)
+    stand(pressed, DT + DETOUR_S)
+    assert stand(pressed, ATTEMPT_S + DT, must_yield=True)[-1].attempt == ATTEMPTS[0]

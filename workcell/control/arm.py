@@ -55,6 +55,8 @@ class ControlledArm:
         self.support = addresses.support
         self.task: str = settings.task
         """What of its tool's pose its operator and its jobs ask for, unless a job says otherwise."""
+        self.self_motion: bool = settings.self_motion
+        """Whether its null space may be used; otherwise it moves as little as its tool needs."""
         self.dofs = addresses.dofs
         self.columns = as_slice(addresses.dofs)
         """Where its joints are in a joint velocity of the whole cell."""

@@ -131,6 +131,9 @@ class Setpoints:
         tool = seen[arm.name].tool_position_m
         off_path = math.dist(tool.tolist(), memory.target.position_m.tolist())
         allowed = REJOIN_M if answer.off_path_m is None else answer.off_path_m
+        if jobs.ends_within(self._cell.period_s):
+            # A tool that may be off its path may not be off its goal: a job is done where it was to be done.
+            allowed = min(allowed, REJOIN_M)
         waits = off_path > allowed and answer.clock_rate > 0.0 and not jobs.retreats
         rate = 0.0 if waits or answer.path == "pause" else answer.clock_rate
         jobs.advance(self._cell.period_s, rate, around)

@@ -160,6 +160,11 @@ class ArmView:
         ]
 
     @property
+    def self_motion(self) -> bool:
+        """Whether the controller may use the arm's null space (`self_motion` of the arm)."""
+        return self._arm.self_motion
+
+    @property
     def task_rad_s(self) -> Array:
         """(n,) the smallest joint velocity that does what the target asks, limits aside."""
         return self.setpoint.task_rad_s
@@ -215,14 +220,15 @@ class ArmView:
         """The nominal velocity: the tool's task, the criterion, and no self-motion that brings a pair below t_min.
 
         Args:
-            push: What the null space is to do instead of the criterion.
+            push: What the null space is to do instead of the criterion. An arm with `self_motion = false` has
+                no criterion; a push that is asked for counts.
 
         Raises:
             ControlFault: a number is not finite.
             CriterionFault: a criterion from outside gave no answer that can be used.
         """
         criterion, kind = self._arm.criterion, NO_CRITERION
-        if push is None:
+        if push is None and self.self_motion:
             kind = criterion.kind(self.settings)
         if kind == GIVEN:
             averaged = self._constraints.pairs.averaged

@@ -120,7 +120,7 @@ class Steering(NamedTuple):
     another_approach: bool = False
     """Whether another approach side is asked for."""
     off_path_m: float | None = None
-    """How far the tool may be off its path with the path's clock going on; None for `setpoints.REJOIN_M`."""
+    """How far the tool may be off its path with the path's clock going on, its end apart; None for `setpoints.REJOIN_M`."""
 
 
 class Command(NamedTuple):

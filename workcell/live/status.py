@@ -33,6 +33,7 @@ _JOBS = {
     "done": "has done its jobs",
 }
 _ATTEMPTS = {
+    "detour": "leaves its path to get past",
     "self_motion": "folds its elbow to get past",
     "free_rotation": "turns its tool to get past",
     "elbow_left": "swings its elbow to the left to get past",

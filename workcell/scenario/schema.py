@@ -95,6 +95,7 @@ class Control(Table):
     strategy: Label = "ttc"
     yields: bool = True
     resolves_impasse: bool = True
+    detour_m: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     entry: Entry | Literal[""] = ""
 
 
@@ -117,6 +118,7 @@ class Arm(Table):
     tool_site: Label = "tool"
     elbow_site: Label | None = None
     task: ToolTask = "pose"
+    self_motion: bool = True
     priority: Annotated[int, Field(ge=0, le=1000)] = 0
     velocity_limit_rad_s: tuple[Speed, ...] | None = None
     acceleration_limit_rad_s2: tuple[Acceleration, ...] | None = None

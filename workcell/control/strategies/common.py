@@ -40,7 +40,7 @@ def nominal(view: ArmView) -> IkSolution:
     return view.solve(NullspaceObjective(np.zeros((n, n)), np.zeros(n)))
 
 
-def barrier(view: ArmView, *, others: bool) -> Barrier:
+def barrier(view: ArmView, *, others: bool, margin_m: float = 0.0) -> Barrier:
     """ḋ >= -(d - δ)/t_min for every pair that the arm can move (docs/theory.md section 5).
 
     δ is d_min, so that an arm comes to rest there; 0 for what is to meet, which otherwise never would.
@@ -48,12 +48,13 @@ def barrier(view: ArmView, *, others: bool) -> Barrier:
     Args:
         view: The arm.
         others: Whether the rates that others are predicted to cause count; otherwise they stand.
+        margin_m: Added to d_min.
     """
     settings, moved = view.settings, view.moved
     rows = view.rows(moved)
     movable = rows.any(axis=1)
     rows, pairs = rows[movable], moved[movable]
-    standoff = np.where(np.isin(pairs, view.meeting), 0.0, settings.d_min_m)
+    standoff = np.where(np.isin(pairs, view.meeting), 0.0, settings.d_min_m + margin_m)
     other = view.other_m_s[pairs] if others else np.zeros(len(pairs))
     needed = np.empty(len(pairs))
     smallest_rates(view.distance_m[pairs] - standoff, other, settings.t_min_s, 0.0, needed)

@@ -4,7 +4,8 @@
     subject to  G x >= -(d - δ)/t_min  for every watched pair,  lo <= x <= hi
 
 w is 1e3 for support arms and 1e6 for priority arms, whose tools give way by as much: they are held to a
-fraction of a millimetre, not exactly, and the race's column of their tool error says by how much. As in the
+fraction of a millimetre, not exactly, and the race's column of their tool error says by how much. The joints of a
+priority arm with `self_motion = false` do what its tool needs, and are no variables of the program. As in the
 two-arm examples of Pink and mink. With `criterion = true` the signed ARTC of all pairs is added.
 """
 
@@ -65,6 +66,10 @@ class JointQp:
             H[part, part] += weight * jacobian.T @ jacobian
             c[part] -= weight * jacobian.T @ (jacobian @ arm.task_rad_s)
             low[part], high[part] = arm.box(arm.command_rad_s)
+            if not arm.limits.support and not arm.self_motion:
+                # Its joints do what its tool needs and nothing else: no elbow to make way with.
+                task = np.clip(arm.task_rad_s, low[part], high[part])
+                low[part], high[part] = task, task
         if options.criterion and len(barrier.pairs):
             distance = np.maximum(view.distance_m[counts], settings.d_min_m)
             c -= self._gain / len(distance) * (1.0 / distance) @ barrier.rows

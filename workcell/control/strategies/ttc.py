@@ -4,6 +4,7 @@ nominal     the tool's task and the criterion, by the inverse kinematics
 allowance   the largest speed scale that keeps every time to collision at t_min (docs/theory.md section 5)
 recovery    whether the arm yields, and what it tries against an impasse
 avoidance   where the speed scale alone does not do: yield, slide past, leave the path
+detour      past an obstacle with the tool off its path, where the scenario allows that
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from workcell.control.arm_constraints import Allowance
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.recovery import Recovery, RecoveryState
 from workcell.control.scaling import FactorGovernor
+from workcell.control.setpoints import REJOIN_M
+from workcell.control.strategies import detour
 from workcell.control.strategy import ArmView, StrategySetup
 from workcell.control.tick import Array, Steering
 
@@ -34,7 +37,10 @@ class TtcStrategy:
     def __init__(self, setup: StrategySetup):
         control, period_s = setup.settings, setup.period_s
         self._recovery = Recovery(
-            period_s=period_s, yields=control.yields, resolves=control.resolves_impasse
+            period_s=period_s,
+            yields=control.yields,
+            resolves=control.resolves_impasse,
+            detours=control.detour_m > 0.0,
         )
         self._governor = FactorGovernor(rise_per_s=1.0 / control.rise_time_s, period_s=period_s)
         self._multiplier = setup.factor_multiplier
@@ -67,6 +73,9 @@ class TtcStrategy:
         )
         if state.yielding:
             return self._yield(view, answer)
+        if state.attempt == "detour":
+            self._governor.resume(0.0)
+            return detour.pass_by(view, solution)
         if view.settings.slow_down == "ttc" and bound.factor < 1.0 and _is_left(view, answer):
             return self._slide(view, answer)
         return self._scale(view, answer, allowance, state)
@@ -78,12 +87,13 @@ class TtcStrategy:
             clock_s=0.0 if jobs is None else jobs.progress_s,
             moving=jobs is not None and jobs.moving,
             out_of_reach=view.setpoint.waits and allowance.bound.factor == 1.0,
+            on_path=view.setpoint.tool_error_m < REJOIN_M,
         )
 
     def _push(self, view: ArmView) -> NullspaceObjective | None:
         """What the null space is for now instead of the criterion, by the attempt decided last."""
         attempt = view.last.attempt
-        if attempt in ("elbow_left", "elbow_right"):
+        if attempt in ("elbow_left", "elbow_right") and view.self_motion:
             return elbow.push(view, 1.0 if attempt == "elbow_left" else -1.0)
         return None
 

@@ -124,6 +124,14 @@ class JobSequence:
         """The clock, at most the duration of the path: beyond it the clock may go on while the tool stands."""
         return min(self.clock_s, self._legs[0].path.duration_s) if self._legs else self.clock_s
 
+    def ends_within(self, step_s: float) -> bool:
+        """Whether so much more on the clock ends the present job: its path ends there, and nothing else has to happen."""
+        return (
+            len(self._legs) == 1
+            and not isinstance(self._current, _MEETINGS)
+            and self.clock_s + step_s >= self._legs[0].path.duration_s
+        )
+
     def target(self) -> Target:
         """The pose and twist wanted at the present clock."""
         return self._target
