@@ -96,3 +96,13 @@ def test_one_that_cannot_be_made_or_is_unknown_is_refused():
     ):
         with pytest.raises(ValueError, match=said):
             scenario.Live.model_validate({"kind": "live", **settings})
+
+
+def test_a_scenario_cannot_name_a_file_to_be_run(tmp_path, monkeypatch):
+    """Opening a stranger's scenario runs no stranger's code: a path is not a name."""
+    (tmp_path / "trap.py").write_text("open('ran', 'w')\nDEVICES = {'trap': object}\n")
+    monkeypatch.chdir(tmp_path)
+    for name in ("trap.py", str(tmp_path / "trap.py"), "trap", "os:system"):
+        with pytest.raises(ValueError, match="device"):
+            scenario.Live.model_validate({"kind": "live", "device": name})
+    assert not (tmp_path / "ran").exists()

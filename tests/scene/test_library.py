@@ -71,6 +71,16 @@ def test_robot_descriptions_go_the_same_way(tmp_path, menagerie, monkeypatch):
     assert library.adapted_file("robot_descriptions:leg_mj").is_file()
 
 
+def test_a_scenario_cannot_have_other_modules_of_a_library_imported(tmp_path, monkeypatch):
+    """Opening a stranger's scenario runs no stranger's code, and of a library only what describes arms."""
+    asked = []
+    monkeypatch.setattr(library.importlib, "import_module", asked.append)
+    for name in ("__main__", "_cache", "loaders.mujoco", "..evil", "", "evil/evil"):
+        with pytest.raises(InputError, match="is no name of a description"):
+            scene.build(scenario.validate(one(f"robot_descriptions:{name}"), None), tmp_path)
+    assert asked == []
+
+
 @pytest.mark.parametrize(
     ("model", "words"),
     [

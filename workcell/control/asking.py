@@ -15,6 +15,7 @@ from types import FrameType
 
 import numpy as np
 
+from workcell.control import laws
 from workcell.control.finite import all_finite
 from workcell.control.outcome import MODES
 from workcell.control.tick import Steering
@@ -22,7 +23,8 @@ from workcell.errors import ControlFault, WorkcellError
 
 TIME_LIMIT_S = 1.0
 """How long a strategy may take for one tick. Chosen a hundred times above the slowest tick of the built-in
-ones, so that no machine is too slow for a strategy that works; only a strategy that hangs sees a clock."""
+ones, so that no machine is too slow for a strategy that works; only a strategy that hangs sees a clock.
+What is compiled at a first use takes longer and is no part of it."""
 
 
 class StrategyFault(WorkcellError):
@@ -84,14 +86,24 @@ def _wrong(steering: Steering, n: int, pairs: int) -> str:
 
 @contextmanager
 def _time_limit() -> Iterator[None]:
-    """Interrupt what takes longer than the limit; in the main thread of a POSIX system, elsewhere nothing is limited."""
+    """Interrupt what takes longer than the limit; in the main thread of a POSIX system, elsewhere nothing is limited.
+
+    The limit begins anew as long as something is compiled: a law's first use must not count as a strategy that hangs.
+    """
     if threading.current_thread() is not threading.main_thread() or not hasattr(
         signal, "setitimer"
     ):
         yield
         return
 
+    begun, _ = laws.compilations()
+
     def late(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal begun
+        before_it, (begun, under_way) = begun, laws.compilations()
+        if under_way or begun > before_it:
+            signal.setitimer(signal.ITIMER_REAL, TIME_LIMIT_S)
+            return
         raise TimeoutError(f"no answer within {TIME_LIMIT_S:g} s")
 
     before = signal.signal(signal.SIGALRM, late)

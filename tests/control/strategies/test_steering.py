@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 import textwrap
+import time
 
 import numpy as np
 import pytest
+from numba.core import event
 
 from workcell import plugins
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.control import asking
+from workcell.control.tick import Steering
 from workcell.errors import InputError
 from workcell.trace.table import load
 
@@ -114,6 +117,28 @@ def test_a_strategy_that_cannot_be_used_ends_in_a_named_safe_state(
     assert trace["nurse.mode"][-1] == "halt"
     nurse = trace["command_rad_s"][-1][np.array(trace.metadata["dofs"]["nurse"])]
     assert np.abs(nurse).max() == 0.0
+
+
+def test_what_is_compiled_meanwhile_is_not_taken_for_a_strategy_that_hangs(monkeypatch):
+    """In a fresh installation the first tick of a plug-in compiles laws for longer than a strategy may take."""
+    monkeypatch.setattr(asking, "TIME_LIMIT_S", 0.1)
+    answered = Steering(np.zeros(3), np.zeros(3))
+
+    def compiles() -> Steering:
+        with event.trigger_event("numba:compile", data={"dispatcher": None}):
+            time.sleep(0.35)
+        return answered
+
+    def compiles_and_hangs() -> Steering:
+        compiles()
+        time.sleep(10.0)
+        return answered
+
+    assert asking.ask("mine", "nurse", compiles, n=3, pairs=1, timed=True) is answered
+    began = time.monotonic()
+    with pytest.raises(asking.StrategyFault, match=r"no answer within 0\.1 s"):
+        asking.ask("mine", "nurse", compiles_and_hangs, n=3, pairs=1, timed=True)
+    assert time.monotonic() - began < 5.0
 
 
 def test_a_scenario_file_cannot_make_code_run(tmp_path):

@@ -130,4 +130,28 @@ class _Progress(event.Listener):
             sys.stderr.write("\r\033[K")
 
 
+class _Compilations(event.Listener):
+    """Counts what numba compiles in this process, laws or not, with nested compilations."""
+
+    def __init__(self) -> None:
+        self.begun = self.under_way = 0
+
+    def on_start(self, event: Any) -> None:
+        self.begun += 1
+        self.under_way += 1
+
+    def on_end(self, event: Any) -> None:
+        self.under_way -= 1
+
+
+_compilations = _Compilations()
 event.register("numba:compile", _Progress())
+event.register("numba:compile", _compilations)
+
+
+def compilations() -> tuple[int, bool]:
+    """How many compilations this process has begun, and whether one of them is still under way.
+
+    What is measured in time tells a slow answer from a first one with it.
+    """
+    return _compilations.begun, _compilations.under_way > 0

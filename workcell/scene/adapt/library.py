@@ -87,6 +87,9 @@ def _of_menagerie(name: str) -> Path:
 
 
 def _of_descriptions(name: str) -> Path:
+    if not name.isidentifier() or name.startswith("_"):
+        # A scenario names it: nothing else of the package is imported for a stranger's file.
+        raise InputError(f"{DESCRIPTIONS + name!r}: {name!r} is no name of a description")
     module = _imported(f"robot_descriptions.{name}", DESCRIPTIONS + name)
     for attribute in ("MJCF_PATH", "URDF_PATH"):
         if hasattr(module, attribute):
