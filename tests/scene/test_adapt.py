@@ -19,7 +19,8 @@ from workcell.scene.adapt import Wishes, adapt
 from workcell.scene.adapt.capsules import fit, fit_one
 from workcell.scene.adapt.hulls import MOST_CORNERS, hull_corners
 from workcell.scene.adapt.limits import PUBLISHED, published
-from workcell.scene.contacts import hand_bodies, meeting_pairs, tool_body
+from workcell.scene.contacts import hand_bodies, meeting_pairs
+from workcell.scene.hand import tool_body
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 BALL = '<asset><mesh name="ball" vertex="{}"/></asset>'.format(
@@ -234,3 +235,24 @@ def test_a_tool_on_a_link_without_geometry_meets_with_the_link_before(tmp_path):
     assert meeting_pairs(cell)
     hand = {cell.model.body(b).name for b in hand_bodies(cell.model, cell.arms[0])}
     assert hand >= {"one/flange", "one/shin", "one/thigh"}, "the bare link counts for none"
+
+
+def test_an_instrument_is_held_before_all_of_the_hand(tmp_path):
+    imported(tmp_path, Wishes(tool="shin", tool_offset_m=(0.1, 0.0, 0.0)))
+    arm = {"name": "one", "model": str(tmp_path / "out.xml"), "home_rad": [0.3, 0.4]}
+    held = {"name": "rod", "held_by": "one"}
+    content = {
+        "name": "one",
+        "arm": [arm | {"operator": {"kind": "hold"}}],
+        "instrument": [held],
+    }
+    cell = scene.build(scenario.validate(content, None), tmp_path / "scene")
+    data = mujoco.MjData(cell.model)
+    cell.place_home(data)
+    mujoco.mj_kinematics(cell.model, data)
+    hand = [cell.model.geom(g).name for g in cell.arms[0].geoms][-1]
+    gap = mujoco.mj_geomDistance(
+        cell.model, data, cell.model.geom(hand).id, cell.instruments[0].geom, 1.0, None
+    )
+    assert hand.startswith("one/shin")
+    assert gap >= cell.scenario.control.d_min_m - 1e-9

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.scene.cell import Cell
-from workcell.scene.contacts import CarriedMotion, hand_bodies, tool_body
+from workcell.scene.contacts import CarriedMotion, hand_bodies
+from workcell.scene.hand import tool_body
 
 
 class Grasps:

@@ -18,7 +18,7 @@ from workcell import scenario
 from workcell.errors import InputError
 from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import HELD_GAP_M, Cell
-from workcell.scene.contacts import tool_body
+from workcell.scene.hand import around_m
 
 SLACK_M = 0.02
 """Beyond what is held: two tools meet a d_min apart, and hands are this large."""
@@ -109,18 +109,9 @@ def _meets(
 
 def _hand_m(cell: Cell, arm: ArmAddresses) -> float:
     """How far a hand reaches around its tool point: what it meets comes no nearer to that point."""
-    model, data = cell.model, mujoco.MjData(cell.model)
-    mujoco.mj_kinematics(model, data)
-    body = tool_body(model, arm)
-    ahead = data.site_xmat[arm.tool_site].reshape(3, 3)[:, 2]
-    reach = 0.0
-    for g in arm.geoms:
-        if model.geom_bodyid[g] == body and model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            radius, half = model.geom_size[g, :2]
-            axis = half * data.geom_xmat[g].reshape(3, 3)[:, 2]
-            offset = data.geom_xpos[g] - data.site_xpos[arm.tool_site]
-            reach = max(reach, radius, offset @ ahead + abs(axis @ ahead) + radius)
-    return float(reach)
+    data = mujoco.MjData(cell.model)
+    mujoco.mj_kinematics(cell.model, data)
+    return around_m(cell.model, data, arm)
 
 
 def _left_m(cell: Cell, arm: ArmAddresses, place_m: NDArray[np.float64], enough_m: float) -> float:

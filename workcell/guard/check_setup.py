@@ -20,7 +20,8 @@ from workcell.guard.geometry import HOUSING_GROUP
 from workcell.guard.settings import DEADLINE_S, CheckSettings, Exemption, Held
 from workcell.scenario import Exchange, Fetch, Meet
 from workcell.scene.cell import Cell
-from workcell.scene.contacts import hand_bodies, tool_body, window_name
+from workcell.scene.contacts import hand_bodies, window_name
+from workcell.scene.hand import tool_body
 
 DEADLINE_TICKS = 5
 """Live, an answer may take at least this many ticks: a machine that needs long ones needs its time for the check, too."""

@@ -18,11 +18,12 @@ from workcell.scene.addresses import (
     arm_addresses,
     instrument_addresses,
 )
+from workcell.scene.hand import ahead_m
 from workcell.scene.pairs import SENSOR_CUTOFF_M, WatchedPairs, watched_pairs
 
 HELD_GAP_M = 0.02
-"""From the tool point to where an instrument held from the start begins; chosen so that hand and instrument are
-no nearer than the default d_min, as after a hand-over, and can part again."""
+"""From the tool point to where an instrument held from the start begins, at least; chosen so that a PA10's hand and an
+instrument are no nearer than the default d_min, as after a hand-over, and can part again."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,12 @@ class Cell:
     def _put_into_hand(
         self, data: mujoco.MjData, item: InstrumentAddresses, holder: ArmAddresses
     ) -> None:
-        """In line with the tool, its near end HELD_GAP_M before the tool point."""
+        """In line with the tool, its near end HELD_GAP_M before the tool point, and d_min before what reaches beyond that."""
+        clear_m = self.scenario.control.d_min_m + ahead_m(self.model, data, holder)
         rotation = data.site_xmat[holder.tool_site].reshape(3, 3)
         centre = (
             data.site_xpos[holder.tool_site]
-            + (HELD_GAP_M + item.radius_m + item.half_length_m) * rotation[:, 2]
+            + (max(HELD_GAP_M, clear_m) + item.radius_m + item.half_length_m) * rotation[:, 2]
         )
         data.qpos[item.qpos : item.qpos + 3] = centre
         mujoco.mju_mat2Quat(

@@ -13,18 +13,10 @@ from numpy.typing import NDArray
 from workcell.scenario import Exchange, Fetch, Meet, Put
 from workcell.scene.addresses import ArmAddresses, InstrumentAddresses
 from workcell.scene.cell import Cell
+from workcell.scene.hand import tool_body
 
 HAND_BODIES = 3
 """The tool's body and the two links before it: what holds an instrument is not watched against it."""
-
-
-def tool_body(model: mujoco.MjModel, arm: ArmAddresses) -> int:
-    """The body that meets what the tool meets: the tool's own, or the nearest before it that has anything to touch with."""
-    watched = {int(model.geom_bodyid[g]) for g in arm.geoms}
-    own = body = int(model.site_bodyid[arm.tool_site])
-    while body and body not in watched:
-        body = int(model.body_parentid[body])
-    return body or own
 
 
 def hand_bodies(model: mujoco.MjModel, arm: ArmAddresses) -> frozenset[int]:

@@ -160,7 +160,8 @@ def _search(cell: Cell, index: int, room_m: float, what: str, evaluations: int) 
         if moves_home:
             tried = replace(arm, home_rad=values[3 * moves_base :].copy())
         arms = tuple(tried if k == index else other for k, other in enumerate(cell.arms))
-        rehearsal = rehearse(replace(cell, arms=arms), tried, room_m)
+        limit = best[-1].cost if best else np.inf
+        rehearsal = rehearse(replace(cell, arms=arms), tried, room_m, give_up_m=limit)
         inside = len(_standing_in(cell, arm.name) - stood)
         found = rehearsal.missed_m + rehearsal.near_m + rehearsal.total / max(rehearsal.looks, 1)
         found += _INSIDE_M * inside

@@ -7,6 +7,7 @@ leaves room here leaves the controller room to work with.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -39,6 +40,8 @@ MISSED_M = 2e-3
 """A tool this near to what is asked is there, turning counted as length."""
 LONGEST_STEP_RAD = 0.3
 _ITERATIONS = 12
+_CONVERGES = 0.98
+"""An iteration that leaves more of the miss than this share is the last: the target is out of reach from there."""
 _DAMPING = 1e-4
 _SEEN_M = 0.15
 """Pairs farther apart than this are of no interest."""
@@ -65,13 +68,16 @@ class Rehearsal:
         return self.missed_m == 0.0 and self.near_m == 0.0
 
 
-def rehearse(cell: Cell, arm: ArmAddresses, room_m: float) -> Rehearsal:
+def rehearse(
+    cell: Cell, arm: ArmAddresses, room_m: float, *, give_up_m: float = np.inf
+) -> Rehearsal:
     """Go through what an arm is to do.
 
     Args:
         cell: Where; its model is not changed.
         arm: Which of its arms moves.
         room_m: Distance wanted of everything that the arm is not to meet, m.
+        give_up_m: Where misses and lacking room together are larger, nothing more is looked at.
     """
     stage = _Stage(cell, arm)
     missed, near, total, looks = (0.0, ""), (0.0, None), 0.0, 0
@@ -83,6 +89,8 @@ def rehearse(cell: Cell, arm: ArmAddresses, room_m: float) -> Rehearsal:
         looks += 1
         missed = max(missed, (short, doing), key=lambda found: found[0])
         near = max(near, (lacking, pair), key=lambda found: found[0])
+        if missed[0] + near[0] > give_up_m:
+            break
     short = min(stage.short_of_meeting_m, _SEEN_M)
     if short > missed[0]:
         missed = short, f"{stage.doing}, which does not come together"
@@ -157,8 +165,8 @@ class _Stage:
         miss = np.inf
         for _ in range(_ITERATIONS):
             error = self._error(target, directions)
-            miss = float(np.linalg.norm(error))
-            if miss < MISSED_M / 4:
+            before, miss = miss, math.sqrt(error @ error)
+            if miss < MISSED_M / 4 or miss > _CONVERGES * before:
                 break
             mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], arm.tool_site)
             turn = data.site_xmat[arm.tool_site].reshape(3, 3).T
