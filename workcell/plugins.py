@@ -102,6 +102,17 @@ def is_built_in(kind: Kind, name: str) -> bool:
     return name in BUILT_IN[kind]
 
 
+def built_in(kind: Kind) -> dict[str, Any]:
+    """What stands behind the built-in names of a kind, without a look at what others bring.
+
+    A module that a plug-in imports may ask for it while that plug-in is being imported.
+    """
+    return {
+        name: EntryPoint(name, target, f"workcell.{kind}").load()
+        for name, target in BUILT_IN[kind].items()
+    }
+
+
 def load(kind: Kind, name: str) -> Any:
     """What stands behind a name.
 

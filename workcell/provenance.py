@@ -14,7 +14,7 @@ from typing import Any
 from workcell import __version__, plugins
 from workcell.control.laws import arithmetic
 from workcell.scenario import Scenario
-from workcell.scenario.plugged import criteria_used, strategies_used
+from workcell.scenario.plugged import plugins_used
 from workcell.scene import contacts
 from workcell.scene.cell import Cell
 from workcell.signals import Layout
@@ -82,9 +82,5 @@ def versions(scenario: Scenario | None = None) -> dict[str, str]:
         scenario: Whose plug-ins are named, too.
     """
     packages = {name: version(name) for name in PACKAGES}
-    used: list[tuple[plugins.Kind, str]] = []
-    if scenario is not None:
-        used += [("strategies", name) for name in sorted(strategies_used(scenario))]
-        used += [("criteria", name) for name in sorted(criteria_used(scenario))]
-    brought = plugins.versions(used)
+    brought = {} if scenario is None else plugins.versions(plugins_used(scenario))
     return {"workcell": __version__} | packages | {"kernels": arithmetic()} | brought

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,22 @@ def test_a_new_strategy_and_a_new_criterion_pass_their_own_tests(what, tmp_path)
         check=False,
     )
     assert done.returncode == 0, done.stdout
+
+
+def test_a_new_strategy_can_be_the_first_thing_that_a_command_imports(tmp_path):
+    """A plug-in file is run before anything of the controller is there; its imports must not ask for itself."""
+    assert main(["new", "strategy", "mine", "--out", str(tmp_path)]) == 0
+    root = Path(workcell.__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-m", "workcell", "plugins", "--plugin", "mine.py"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(root), "WORKCELL_PLUGINS": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"strategy +mine ", done.stdout)
 
 
 def test_nothing_is_overwritten_and_a_name_is_a_name(tmp_path, capsys):

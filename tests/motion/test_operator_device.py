@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 import pytest
 
-from workcell import plugins, scenario
+from tests import cells
+from workcell import plugins, provenance, scenario
 from workcell.errors import ControlFault
 from workcell.motion.operators import make_operator
 
@@ -84,6 +87,16 @@ def test_its_faults_are_those_of_a_stream():
 def test_one_that_fails_ends_the_run_with_its_name(fault, said):
     with pytest.raises(ControlFault, match=said):
         play(fault)
+
+
+def test_its_version_goes_with_a_run(tmp_path):
+    content = cells.duet()
+    content["arm"][0]["operator"] = {"kind": "live", "device": "glove"}
+    digest = hashlib.sha256((tmp_path / "glove.py").read_bytes()).hexdigest()
+    told = provenance.versions(cells.load(tmp_path, content))
+    assert told["device glove"] == f"glove.py {digest[:12]}"
+    content["arm"][0]["operator"] = {"kind": "live"}
+    assert "device glove" not in provenance.versions(cells.load(tmp_path, content))
 
 
 def test_one_that_cannot_be_made_or_is_unknown_is_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 
 import numpy as np
@@ -69,8 +70,11 @@ def scenario_of(folder, **operator):
 
 def test_it_drives_its_arm_and_goes_into_the_scenario_of_the_run(tmp_path):
     loaded = scenario_of(tmp_path, options={"radius_m": 0.03})
-    runner.run(loaded, tmp_path / "run")
+    summary = runner.run(loaded, tmp_path / "run")
     trace = load(tmp_path / "run")
+    digest = hashlib.sha256((tmp_path / "circle.py").read_bytes()).hexdigest()
+    for versions in (summary["versions"], trace.metadata["versions"]):
+        assert versions["operator circle"] == f"circle.py {digest[:12]}"
     assert set(trace["surgeon.job"]) == {"circle"}
     way = trace["surgeon.target_position_m"] - trace["surgeon.target_position_m"][0]
     assert np.linalg.norm(way[-1]) == pytest.approx(2 * 0.03 * np.sin(0.49 / 2), rel=1e-6)

@@ -67,6 +67,21 @@ def test_a_run_done_again_is_the_same(duet, tmp_path, loop):
     assert (tmp_path / "again" / "comparison.txt").is_file()
 
 
+def test_a_run_of_which_the_judge_says_something_else_than_its_trace_is_reproduced(tmp_path):
+    """The surgeon touches a nurse that never yields: to the judge that is not the nurse's time to collision."""
+    settings = (
+        "control.strategy=paper_scaling", "simulation.plant=kinematic", "simulation.period_s=0.02",
+        "simulation.duration_s=5.0", "check.enabled=false", "expect={}",
+    )  # fmt: skip
+    run = tmp_path / "run"
+    overrides = [word for setting in settings for word in ("--set", setting)]
+    assert main(["run", "planar_crossing", "--out", str(run), *overrides]) == 0
+    metrics = json.loads((run / "summary.json").read_text())["metrics"]
+    own = "smallest_ttc_command_own_s"
+    assert metrics[own] != regression.metrics_of(load(run))[own]
+    assert main(["reproduce", str(run), "--closed-loop"]) == 0
+
+
 def test_reproduce_wants_one_loop_and_its_old_name_says_the_new_one(duet, capsys):
     assert main(["reproduce", str(duet.trace.source)]) == 2
     assert "workcell reproduce" not in said(capsys.readouterr().err)

@@ -152,9 +152,8 @@ def reproduce(
             changes, options = (), {"without_plant": True}
         else:
             again = replay.closed_loop(scenario, folder)
-            changes = regression.metric_changes(
-                (again.summary or {})["metrics"], regression.metrics_of(old)
-            )
+            # Both from their traces: the summary has the independent judge's figures instead of some of them.
+            changes = regression.metric_changes_of_trace(again.trace, regression.metrics_of(old))
             options = regression.CLOSED
         result = compare_excerpts(excerpt(again.trace), excerpt(old), **options)
         if again.fault:

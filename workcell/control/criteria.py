@@ -21,9 +21,7 @@ from workcell.errors import WorkcellError
 
 Array = NDArray[np.float64]
 
-KINDS: dict[str, int] = {
-    name: plugins.load("criteria", name) for name in plugins.BUILT_IN["criteria"]
-}
+KINDS: dict[str, int] = plugins.built_in("criteria")
 """The numbers by which the laws know our own criteria."""
 CRITERIA: tuple[str, ...] = tuple(KINDS)
 """Their names."""

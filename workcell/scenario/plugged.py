@@ -11,14 +11,17 @@ if TYPE_CHECKING:
     from workcell.scenario.schema import Scenario
 
 
-def strategies_used(scenario: Scenario) -> set[str]:
-    """Names of the strategies that steer an arm of the scenario."""
-    return set(_named(scenario, "strategies").values())
-
-
-def criteria_used(scenario: Scenario) -> set[str]:
-    """Names of the criteria that an arm of the scenario has at some time."""
-    return set(_named(scenario, "criteria").values())
+def plugins_used(scenario: Scenario) -> list[tuple[plugins.Kind, str]]:
+    """Kind and name, sorted, of all that steers an arm of the scenario at some time or drives one, built in or not."""
+    used: set[tuple[plugins.Kind, str]] = set()
+    for kind in ("strategies", "criteria"):
+        used |= {(kind, name) for name in _named(scenario, kind).values()}
+    for arm in scenario.arm:
+        if arm.operator is not None and arm.operator.kind == "plugin":
+            used.add(("operators", arm.operator.name))
+        if arm.operator is not None and arm.operator.kind == "live" and arm.operator.device:
+            used.add(("devices", arm.operator.device))
+    return sorted(used)
 
 
 def plugin_faults(scenario: Scenario) -> list[str]:
