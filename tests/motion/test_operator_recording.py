@@ -10,7 +10,15 @@ import pytest
 from workcell import scenario
 from workcell.errors import InputError
 from workcell.motion.operators.recording import RecordingOperator, believed_samples, faults
-from workcell.motion.operators.recording_file import POSE_COLUMNS, Samples, read, write
+from workcell.motion.operators.recording_file import (
+    FORMAT,
+    FORMAT_KEY,
+    FORMAT_LINE,
+    POSE_COLUMNS,
+    Samples,
+    read,
+    write,
+)
 from workcell.motion.operators.samples import JumpRule, Sample, SampleFilter, Tolerances
 from workcell.motion.orientation import rotation_between
 
@@ -70,6 +78,41 @@ def test_parquet_is_as_good_as_csv(tmp_path):
     from_parquet = read(tmp_path / "hand.parquet")
     assert np.array_equal(from_csv.position_m, from_parquet.position_m)
     assert np.array_equal(from_csv.wxyz, from_parquet.wxyz)
+
+
+def test_a_recording_says_its_format(tmp_path):
+    path = write(tmp_path / "hand.csv", circle())
+    first, header, *_ = path.read_text().splitlines()
+    assert first == f"{FORMAT_LINE}{FORMAT}"
+    assert header.split(",") == list(POSE_COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        (None, None),
+        ("1", None),
+        ("2", "recording of format 2; this program reads formats up to 1: update workcell"),
+        ("0", "format '0'; allowed: 1 to 1"),
+        ("9" * 50, "format '9999.*'; allowed: 1 to 1"),
+        ("one", "format 'one'; allowed: 1 to 1"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_older_formats_are_read_and_newer_ones_refused(tmp_path, kind, said, words):
+    path, columns = tmp_path / f"hand.{kind}", table(circle())
+    if kind == "csv":
+        write_csv(path, columns)
+        if said is not None:
+            path.write_text(f"{FORMAT_LINE}{said}\n{path.read_text()}")
+    else:
+        metadata = None if said is None else {FORMAT_KEY: said}
+        pq.write_table(pa.table(columns).replace_schema_metadata(metadata), path)
+    if words is None:
+        assert np.array_equal(read(path).time_s, circle().time_s)
+    else:
+        with pytest.raises(InputError, match=words):
+            read(path)
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 50.0, 333.0, 1000.0])
