@@ -12,8 +12,7 @@ from workcell.errors import InputError
 from workcell.motion.operators.recording import RecordingOperator, believed_samples, faults
 from workcell.motion.operators.recording_file import (
     FORMAT,
-    FORMAT_KEY,
-    FORMAT_LINE,
+    FORMAT_COLUMN,
     POSE_COLUMNS,
     Samples,
     read,
@@ -82,9 +81,9 @@ def test_parquet_is_as_good_as_csv(tmp_path):
 
 def test_a_recording_says_its_format(tmp_path):
     path = write(tmp_path / "hand.csv", circle())
-    first, header, *_ = path.read_text().splitlines()
-    assert first == f"{FORMAT_LINE}{FORMAT}"
-    assert header.split(",") == list(POSE_COLUMNS)
+    header, first, *_ = path.read_text().splitlines()
+    assert header.split(",") == [*POSE_COLUMNS, FORMAT_COLUMN]
+    assert first.split(",")[-1] == str(FORMAT)
 
 
 @pytest.mark.parametrize(
@@ -92,22 +91,26 @@ def test_a_recording_says_its_format(tmp_path):
     [
         (None, None),
         ("1", None),
-        ("2", "recording of format 2; this program reads formats up to 1: update workcell"),
-        ("0", "format '0'; allowed: 1 to 1"),
-        ("9" * 50, "format '9999.*'; allowed: 1 to 1"),
-        ("one", "format 'one'; allowed: 1 to 1"),
+        (
+            "2",
+            "format = 2: is newer than this program, which reads formats up to 1: update workcell",
+        ),
+        ("0", "format = 0: is no format; allowed are 1 to 1"),
+        ("9" * 50, "format = 9999.*: is no format"),
+        ("one", "format = one: is no format"),
     ],
 )
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_older_formats_are_read_and_newer_ones_refused(tmp_path, kind, said, words):
     path, columns = tmp_path / f"hand.{kind}", table(circle())
+    if said is not None:
+        columns = {FORMAT_COLUMN: [said] * len(circle().time_s), **columns}
+    if said == "2":  # A newer format may have other columns.
+        del columns["qw"]
     if kind == "csv":
         write_csv(path, columns)
-        if said is not None:
-            path.write_text(f"{FORMAT_LINE}{said}\n{path.read_text()}")
     else:
-        metadata = None if said is None else {FORMAT_KEY: said}
-        pq.write_table(pa.table(columns).replace_schema_metadata(metadata), path)
+        pq.write_table(pa.table(columns), path)
     if words is None:
         assert np.array_equal(read(path).time_s, circle().time_s)
     else:

@@ -3,8 +3,7 @@
 CSV or parquet, with the columns time_s, x_m, y_m, z_m, qw, qx, qy, qz in the world frame, at any
 rate; the twist vx_m_s .. wz_rad_s may be there too. What cannot be followed is refused with row and
 column. Rows are counted from 1, without the header and without empty lines. A recording that this
-program writes says its format, in a line before the header or in the metadata of the table; one that
-says none is of the first format.
+program writes says its format in a column of its own; one that says none is of the first format.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import csv
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +26,8 @@ from workcell.motion.operators.samples import LARGEST_M
 
 FORMAT = 1
 """Version of the table; raised when a column changes its meaning, so that an older program does not misread it."""
-FORMAT_LINE = "# workcell recording, format "
-"""First line of a CSV file, and after it the version."""
-FORMAT_KEY = b"workcell_recording_format"
-"""Metadata of a parquet file."""
+FORMAT_COLUMN = "recording_format"
+"""Column with the version in every row, so that any program reads the file as a plain table."""
 POSE_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 """Columns a recording must have."""
 TWIST_COLUMNS = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
@@ -112,28 +110,25 @@ def write(path: Path | str, samples: Samples) -> Path:
     if samples.twist is not None:
         parts.append(samples.twist)
     with path.open("w", newline="", encoding="utf-8") as file:
-        file.write(f"{FORMAT_LINE}{FORMAT}\n")
         out = csv.writer(file, lineterminator="\n")
-        out.writerow(names)
+        out.writerow([*names, FORMAT_COLUMN])
         # repr gives the shortest text that reads back to the same number.
-        out.writerows([repr(x) for x in row] for row in np.hstack(parts).tolist())
+        out.writerows([*map(repr, row), FORMAT] for row in np.hstack(parts).tolist())
     return path
 
 
-def _check_format(said: str, path: Path) -> None:
-    """Refuse a format that this program does not know."""
-    text = said.strip()
-    version = int(text) if text.isdecimal() and len(text) < 10 else 0
+def _check_format(said: object, path: Path) -> None:
+    """Refuse a format that this program does not know, by what the first row says."""
+    text = str(said).strip().removesuffix(".0")
+    version = int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else 0
+    where = f"row 1, column {FORMAT_COLUMN} = {text[:40]}"
     if version > FORMAT:
         raise InputError(
-            f"is a recording of format {version}; this program reads formats up to {FORMAT}: update workcell",
+            f"{where}: is newer than this program, which reads formats up to {FORMAT}: update workcell",
             file=path,
         )
     if version < 1:
-        raise InputError(
-            f"says that it is a recording of format {text[:40]!r}; allowed: 1 to {FORMAT}",
-            file=path,
-        )
+        raise InputError(f"{where}: is no format; allowed are 1 to {FORMAT}", file=path)
 
 
 def _largest(names: Iterable[str]) -> NDArray[np.float64]:
@@ -220,9 +215,9 @@ def _table(path: Path) -> dict[str, NDArray[np.float64]]:
 def _parquet_table(path: Path) -> dict[str, NDArray[np.float64]]:
     with pq.ParquetFile(path) as file:
         schema = file.schema_arrow
-        said = (schema.metadata or {}).get(FORMAT_KEY)
-        if said is not None:
-            _check_format(said.decode("utf-8", "replace"), path)
+        if FORMAT_COLUMN in schema.names and file.metadata.num_rows:
+            rows = next(file.iter_batches(1, columns=[FORMAT_COLUMN]))
+            _check_format(rows[0][0].as_py(), path)
         _refuse(_missing(schema.names), path)
         wanted = [field for field in schema if field.name in POSE_COLUMNS + TWIST_COLUMNS]
         faults = [
@@ -246,17 +241,16 @@ def _csv_table(path: Path) -> dict[str, NDArray[np.float64]]:
     columns: dict[str, array[float]] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            first = file.readline()
-            if first.startswith(FORMAT_LINE):
-                _check_format(first.removeprefix(FORMAT_LINE), path)
-            else:
-                file.seek(0)
             lines = csv.reader(file)
             header = [name.strip() for name in next(lines, [])]
+            # An empty line, as some programs leave at the end, is no row.
+            rows = (line for line in lines if line)
+            if FORMAT_COLUMN in header and (first := next(rows, None)) is not None:
+                _check_format(dict(zip(header, first, strict=False)).get(FORMAT_COLUMN), path)
+                rows = chain([first], rows)
             _refuse(_missing(header), path)
             columns = {name: array("d") for name in header if name in POSE_COLUMNS + TWIST_COLUMNS}
-            # An empty line, as some programs leave at the end, is no row.
-            for number, row in enumerate((line for line in lines if line), start=1):
+            for number, row in enumerate(rows, start=1):
                 if len(row) != len(header):
                     faults.append(
                         f"row {number}: has {len(row)} entries, the header has {len(header)}"
