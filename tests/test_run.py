@@ -120,6 +120,28 @@ def test_expectations_are_judged(twice, expect, held):
     assert verdict["held"] is held
 
 
+@pytest.mark.parametrize(
+    ("expect", "held"),
+    [({}, False), ({"completed": False}, False), ({"contact": True}, True)],
+    ids=["nothing", "something else", "the contact"],
+)
+def test_a_contact_that_nobody_expects_is_no_success(tmp_path, expect, held):
+    content = cells.duet() | {"check": {"enabled": False}, "expect": expect}
+    content["arm"][0]["operator"] = {
+        "kind": "waypoints",
+        "speed_m_s": 0.5,
+        "waypoints": [{"position_m": [-0.166, 0.25, 0.3]}],
+    }
+    content["obstacle"] = [
+        {"name": "post", "shape": "box", "size_m": [0.03] * 3, "position_m": [-0.166, 0.3, 0.3]}
+    ]
+    loaded = cells.load(tmp_path, content, "simulation.duration_s=2.5")
+    summary = runner.run(loaded, tmp_path / "run")
+    assert summary["metrics"]["contact"]
+    assert summary["held"] is held
+    assert any("workcell judge" in line for line in summary["why"]) is not held
+
+
 def test_a_state_that_is_not_finite_ends_the_run_with_its_tick(tmp_path, monkeypatch):
     """The plant breaks at tick 50: the run stops, says where, and the 50 ticks before are readable."""
     real = Plant.step

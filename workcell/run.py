@@ -47,6 +47,8 @@ OUTPUTS = (
 """All that a run and the commands after it write into a run folder."""
 CHECK_STOP = STOPPED_BY_CHECK
 """Metric: whether the final check has stopped the arms. A run in which it has is not held, unless `[expect]` says so."""
+CONTACT_METRICS = ("contact", "contact_cause", "contacts_by_support")
+"""A run with a contact is not held, unless `[expect]` says something of one of these, and it is so."""
 
 
 def run(
@@ -221,6 +223,8 @@ def summarise(cell: Cell, trace: Trace, ending: Ending) -> dict:
         and not ending.interrupted
         # A stop that the scenario expects is judged like any expectation.
         and (stop in ("off", "none") or CHECK_STOP in verdicts)
+        # So is a contact.
+        and (not values["contact"] or any(name in verdicts for name in CONTACT_METRICS))
         and all(v["held"] for v in verdicts.values())
     )
     summary = {

@@ -48,6 +48,8 @@ def _endings(summary: Mapping[str, Any]) -> Iterator[str]:
         yield "A person stopped the run."
     if metrics["fault"]:
         yield f"The run ended before its time: {metrics['fault']}."
+    if metrics.get("contact"):
+        yield f"Parts touched (contact_cause: {metrics['contact_cause']}); `workcell judge` says which and when."
     halt = summary["final_check"].get("halt")
     if halt:
         yield f"The final check stopped the arms ({halt['state']}): {halt['reason']}."
