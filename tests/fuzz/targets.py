@@ -7,6 +7,7 @@ import copy
 import shutil
 import tempfile
 import tomllib
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -20,10 +21,13 @@ from lxml import etree
 from tests import cells
 from tests.fuzz import mutate
 from tests.fuzz.harness import Case, Target, call
+from tests.fuzz.second_opinion import second_opinion
 from workcell import assets
 
 SHORT = ("--set", "simulation.duration_s=0.16")
 """A run of some ticks: enough for everything that is opened, made and judged before and after."""
+LONG = ("--set", "simulation.duration_s=2.0")
+"""Of a small cell: long enough for its arms to come together, which its judges must see alike."""
 
 
 @cache
@@ -55,17 +59,22 @@ def scenario(case: Case, folder: Path) -> None:
             path.write_text(tomli_w.dumps(changed), encoding="utf-8")
         except (TypeError, ValueError):  # what TOML cannot hold is no scenario file
             return
-    _check_and_run(case, random, path, overrides)
+    small = all(arm["model"] == "planar3" for arm in content["arm"])
+    _check_and_run(case, random, path, overrides, LONG if small else SHORT)
 
 
-def _check_and_run(case: Case, random: Random, path: Path, overrides: list[str]) -> None:
+def _check_and_run(
+    case: Case, random: Random, path: Path, overrides: list[str], length: Sequence[str] = SHORT
+) -> None:
     checked = case.call("check", str(path), *overrides)
     if checked.status == 0 and random.random() < 0.3:
-        short = (*overrides, *SHORT)
+        short = (*overrides, *length)
         if case.call("check", str(path), *short).status == 0:
             ran = case.call("run", str(path), "--out", "run", *short)
             if ran.status == 2:
                 case.faults.append(f"run refused what check had passed: {ran.err[:300]}")
+            elif ran.status in (0, 1):
+                case.faults += second_opinion(Path("run"))
 
 
 def _dotted(random: Random, content: Any) -> str:
