@@ -100,7 +100,7 @@ def tracking_errors_rad(model: mujoco.MjModel, start: np.ndarray, end: np.ndarra
 
 
 def test_all_arms_are_seen():
-    assert {path.stem for path in ARMS} == {"pa10", "planar3", "slider"}
+    assert {path.stem for path in ARMS} == {"pa10", "planar3", "planar8", "slider"}
 
 
 @arms
