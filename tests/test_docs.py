@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -129,3 +131,28 @@ def test_commands_in_the_documentation_exist(path):
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.M))
     for target in re.findall(r"^(?:\$ )?make ([a-z-]+)|`make ([a-z-]+)", text, flags=re.M):
         assert "".join(target) in targets
+
+
+def homes_of_libraries() -> dict[str, set[str]]:
+    """Which packages of ours import which other packages; what every part may use is left out."""
+    found: dict[str, set[str]] = {}
+    own = ROOT / "workcell"
+    for file in own.rglob("*.py"):
+        if "templates" in file.parts:  # working starts for others, not code of ours
+            continue
+        place = file.relative_to(own).parts[0]
+        home = f"workcell/{place}" + ("" if place.endswith(".py") else "/")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                modules = [node.module]
+            for name in {module.partition(".")[0] for module in modules}:
+                if name not in {*sys.stdlib_module_names, "workcell", "numpy", "mujoco"}:
+                    found.setdefault(name, set()).add(home)
+    return found
+
+
+def test_the_homes_of_libraries_are_told():
+    rows = sections(ROOT / "docs" / "architecture.md")["Third parties"]
+    told = {name: set(re.findall(r"`(workcell/[^`]+)`", cells[0])) for name, cells in rows.items()}
+    assert told == homes_of_libraries()

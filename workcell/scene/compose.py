@@ -3,7 +3,7 @@
 Every arm's normal form is attached at its base pose under its own name (`surgeon/link3`), obstacles and the
 floor become static geoms, and each watched pair gets a `fromto` sensor, so that MuJoCo itself
 computes the witness points. What is simulated is what is written: the model is compiled from the
-exported scene.xml. The only file that knows dm_control.
+exported scene.xml.
 
 dm_control takes a tenth of a second for an arm, and a study has the same arms in every run. So it
 composes a skeleton, which is kept for further scenes of the same arms: the arms, what every scene

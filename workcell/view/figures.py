@@ -2,8 +2,7 @@
 
 In come a trace and its scene; out come PNG files: `figure3.png` (time to collision over the speed
 of the support arm), `figure4.png` (ARTC of every arm), `figure5.png` (the cell at four instants)
-and `overview.png` (all of a run on one page), each also as PDF and SVG. The same trace gives the same bytes. The only file
-that knows matplotlib.
+and `overview.png` (all of a run on one page), each also as PDF and SVG. The same trace gives the same bytes.
 """
 
 from __future__ import annotations

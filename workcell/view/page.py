@@ -1,8 +1,7 @@
 """One HTML file that opens without a network: text, tables, pictures and curves that can be zoomed.
 
 In come sections; out comes the page as text. plotly's script is carried in the file, compressed: as it
-is it would take 4.8 MB, compressed 1.9 MB, and the browser unpacks it by itself. The only file that
-knows plotly.
+is it would take 4.8 MB, compressed 1.9 MB, and the browser unpacks it by itself.
 """
 
 from __future__ import annotations
