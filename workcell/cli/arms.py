@@ -167,7 +167,9 @@ def _starter(path: Path, text: Callable[[float | None], str]) -> str:
             refused = refused or error
             continue
         return f"first scenario: workcell run {path}"
-    return f"first scenario is not ready to run: {refused}"
+    return (
+        f"first scenario is not ready to run: {refused}\n`workcell place {path}` searches a layout"
+    )
 
 
 def _parts(texts: tuple[str, ...]) -> dict[str, str]:

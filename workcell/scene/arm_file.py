@@ -61,7 +61,7 @@ _JOINT_KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
-HINGE, SLIDE = "hinge", "slide"
+HINGE, SLIDE, FREE = "hinge", "slide", "free"
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,24 +16,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.errors import InputError
-from workcell.scene import arm_file
 from workcell.scene.adapt import choose, home, write
 from workcell.scene.adapt.capsules import Capsule, fit
 from workcell.scene.adapt.hulls import Piece, hull_corners, piece_of
-from workcell.scene.adapt.limits import published
 from workcell.scene.adapt.links import Link, composite, links_of
-from workcell.scene.addresses import (
-    DEFAULT_ACCELERATION_LIMIT_RAD_S2,
-    DEFAULT_VELOCITY_LIMIT_RAD_S,
-)
-from workcell.scene.arm_file import ACCELERATION_LIMIT_NUMERIC, VELOCITY_LIMIT_NUMERIC, ArmFile
+from workcell.scene.adapt.source import read
+from workcell.scene.adapt.stated import limits, torque
+from workcell.scene.arm_file import ArmFile
 
 CHECKED_POSES = 50
 SAME = 1e-9
 """Largest difference between the adapted arm and its original: m, rad, kg, kg m²."""
-SECONDS_TO_FULL_SPEED = 0.5
-"""Where no acceleration limit is published: chosen gentle."""
 MUCH_LARGER = 1.5
 """A hull of so many times the volume of its mesh is worth a word: a decomposition would hug it closer."""
 
@@ -70,6 +63,8 @@ class Adapted:
     """What the file does not say and nothing could tell."""
     reach_m: float
     """Farthest the tool was from the base in the sampled poses."""
+    on_floor: tuple[str, ...] = ()
+    """Bodies that move level over the floor, as those of a mobile base, and cannot be held apart from it."""
     floor_m: float = 0.0
     """Height of the floor in the base's frame: 0, or below it where the base reaches lower."""
 
@@ -80,10 +75,7 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
     Raises:
         InputError: the file does not compile, or a wish names something it does not have.
     """
-    try:
-        file = arm_file.read(path)
-    except InputError as error:
-        raise InputError(error.faults, file=path) from error
+    file = read(path)
     chain = choose.chain(
         file, wishes.tool, wishes.root, wishes.locked, without=wishes.without, only=wishes.only
     )
@@ -97,7 +89,7 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
         for link in links
         if housing[link.first]
     }
-    limits = _limits(file, name, chain.driven)
+    known = limits(file, name, chain.driven)
     parts = write.Parts(
         name=name,
         source=path.name,
@@ -107,9 +99,9 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
         capsules=capsules,
         tool_link=chain.tool_link(file.model),
         tool=chain.tool_pose(file, zero, wishes.tool_offset_m),
-        velocity=limits.velocity,
-        acceleration=limits.acceleration,
-        torque=_torque(file, chain.driven),
+        velocity=known.velocity,
+        acceleration=known.acceleration,
+        torque=torque(file, chain.driven),
     )
     bare = mujoco.MjModel.from_xml_string(write.xml(parts))
     gains = _gains(bare)
@@ -132,10 +124,11 @@ def adapt(path: Path, wishes: Wishes) -> Adapted:
             "gravity is carried by the drives (gravcomp), as real arms do",
             f"held against the original: tool in {CHECKED_POSES} poses, masses and inertias equal to {SAME:g}",
         ),
-        guessed=(*chain.guessed, *limits.guessed, *chosen.guessed),
-        unknown=(*_unknown(file, chain.driven), *limits.unknown),
+        guessed=(*chain.guessed, *known.guessed, *chosen.guessed),
+        unknown=(*_unknown(file, chain.driven), *known.unknown),
         reach_m=chosen.reach_m,
         floor_m=chosen.floor_m,
+        on_floor=chosen.on_floor,
     )
 
 
@@ -207,80 +200,9 @@ def _volumes(
         )
 
 
-@dataclass(frozen=True)
-class _Limits:
-    velocity: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    guessed: list[str]
-    unknown: list[str]
-
-
-def _limits(file: ArmFile, name: str, driven: tuple[int, ...]) -> _Limits:
-    """Speed and acceleration: the file's own, else published, else conservative; what it was is said."""
-    model = file.model
-    known = published(f"{name} {file.path.parent.name} {file.path.stem}", len(driven))
-    guessed, unknown, found = [], [], []
-    table = {
-        VELOCITY_LIMIT_NUMERIC: known.velocity_rad_s if known else None,
-        ACCELERATION_LIMIT_NUMERIC: known.acceleration_rad_s2 if known else None,
-    }
-    for numeric, values in table.items():
-        own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, numeric)
-        if own >= 0 and model.numeric_size[own] in (model.njnt, len(driven)):
-            start, size = model.numeric_adr[own], model.numeric_size[own]
-            stated = np.array(model.numeric_data[start : start + size])
-            found.append(stated[list(driven)] if size == model.njnt else stated)
-        elif values is not None and known is not None:
-            found.append(np.array(values))
-            guessed.append(
-                f"{numeric}: by its name this is an arm of which is published: {known.source}"
-            )
-        elif numeric == ACCELERATION_LIMIT_NUMERIC and known is not None:
-            found.append(np.array(known.velocity_rad_s) / SECONDS_TO_FULL_SPEED)
-            unknown.append(
-                f"{numeric}: not published; {SECONDS_TO_FULL_SPEED:g} s to full speed assumed"
-            )
-        else:
-            default = (
-                DEFAULT_VELOCITY_LIMIT_RAD_S
-                if numeric == VELOCITY_LIMIT_NUMERIC
-                else DEFAULT_ACCELERATION_LIMIT_RAD_S2
-            )
-            found.append(np.full(len(driven), default))
-            unknown.append(
-                f"{numeric}: neither stated nor published; {default:g} for every joint assumed, on the slow side"
-            )
-    return _Limits(found[0], found[1], guessed, unknown)
-
-
-def _torque(file: ArmFile, driven: tuple[int, ...]) -> dict[int, tuple[float, float]]:
-    """Torque limits by joint, as far as the file has any: of the joint, else of its actuator."""
-    model = file.model
-    found = {}
-    for joint in driven:
-        if model.jnt_actfrclimited[joint]:
-            found[joint] = tuple(model.jnt_actfrcrange[joint])
-            continue
-        for k in range(model.nactuator):
-            if model.actuator_trntype[k] != mujoco.mjtTrn.mjTRN_JOINT:
-                continue
-            if int(model.actuator_trnid[k, 0]) != joint:
-                continue
-            gear = float(model.actuator_gear[k, 0])
-            if model.actuator_forcelimited[k]:
-                found[joint] = tuple(sorted(gear * model.actuator_forcerange[k]))
-            elif (
-                model.actuator_ctrllimited[k]
-                and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE
-            ):
-                force = gear * model.actuator_gainprm[k, 0] * model.actuator_ctrlrange[k]
-                found[joint] = tuple(sorted(force))
-    return found
-
-
 def _unknown(file: ArmFile, driven: tuple[int, ...]) -> Iterator[str]:
-    torque = _torque(file, driven)
-    without = [file.joints[j] for j in driven if j not in torque]
+    limited = torque(file, driven)
+    without = [file.joints[j] for j in driven if j not in limited]
     if without:
         yield f"torque limits of {', '.join(without)}: none stated, none set"
     unlimited = [file.joints[j] for j in driven if not file.model.jnt_limited[j]]

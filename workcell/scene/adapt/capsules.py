@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 WORTH = 0.8
 """A further capsule is taken where it makes their volume smaller than this share; chosen since each costs pairs."""
+HOPELESS = 1.25
+"""Capsules this many times too large are not refined: that saves a tenth of their volume, seldom more."""
+KEPT = 64
+"""Links whose capsules are remembered; chosen larger than one robot has."""
 MARGIN_M = 1e-5
 """Added to every radius, far above what rounding and single precision could take from it."""
 _CUTS = {
@@ -62,16 +67,23 @@ def fit(pieces: Sequence[NDArray[np.float64]], most: int = 3) -> list[Capsule]:
         pieces: (n, 3) corners of each convex piece, all in one frame.
         most: How many capsules are allowed.
     """
+    # Parts of one robot, and an arm that is adapted again, have links in common.
+    return list(_fit(tuple(piece.astype(float).tobytes() for piece in pieces), most))
+
+
+@lru_cache(maxsize=KEPT)
+def _fit(contents: tuple[bytes, ...], most: int) -> tuple[Capsule, ...]:
+    pieces = [np.frombuffer(content).reshape(-1, 3) for content in contents]
     best = [fit_one(np.concatenate(pieces))]
     axis = best[0].ends[1] - best[0].ends[0]
     if np.linalg.norm(axis) < 1e-6:
         axis = np.linalg.svd(np.concatenate(pieces) - np.concatenate(pieces).mean(axis=0))[2][0]
     axis = axis / np.linalg.norm(axis)
     for count in range(2, most + 1):
-        found = _cut_and_fit(pieces, axis, count)
+        found = _cut_and_fit(pieces, axis, count, HOPELESS * WORTH * _volume(best))
         if found and _volume(found) < WORTH * _volume(best):
             best = found
-    return best
+    return tuple(best)
 
 
 def _volume(capsules: Sequence[Capsule]) -> float:
@@ -79,9 +91,13 @@ def _volume(capsules: Sequence[Capsule]) -> float:
 
 
 def _cut_and_fit(
-    pieces: Sequence[NDArray[np.float64]], axis: NDArray[np.float64], count: int
+    pieces: Sequence[NDArray[np.float64]],
+    axis: NDArray[np.float64],
+    count: int,
+    most_m3: float,
 ) -> list[Capsule]:
-    """The best of the tried cuts into so many parts; empty if a part has no corners."""
+    """The best of the tried cuts into so many parts; empty if a part has no corners, or all are too large before they
+    are refined."""
     along = np.concatenate(pieces) @ axis
     low, high = along.min(), along.max()
     best: list[Capsule] = []
@@ -96,7 +112,9 @@ def _cut_and_fit(
         found = [fit_one(np.concatenate(part), refine=False) for part in parts]
         if not best or _volume(found) < _volume(best):
             best, kept = found, parts
-    return [fit_one(np.concatenate(part)) for part in kept] if best else []
+    if not best or _volume(best) > most_m3:
+        return []
+    return [fit_one(np.concatenate(part)) for part in kept]
 
 
 def _between(

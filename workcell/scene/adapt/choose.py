@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.errors import InputError
-from workcell.scene.arm_file import HINGE, SLIDE, ArmFile, plain
+from workcell.scene.arm_file import FREE, HINGE, SLIDE, ArmFile, plain
 from workcell.scene.normal_form import rigid_links
 
 _TOOL_WORDS = (
@@ -146,12 +146,12 @@ def chain(
         for b in way_up(model, body)
         if b != root_body
         for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
-        if file.joints[j] not in names
+        if file.joints[j] not in names and file.kinds[j] != FREE
     ]
     wrong = [file.joints[j] for j in driven if file.kinds[j] not in (HINGE, SLIDE)]
     if wrong:
         raise InputError(
-            f"joint {', '.join(wrong)} on the way to {name} is neither hinge nor slide; lock it (--lock) or begin behind it (--root)",
+            f"joint {', '.join(wrong)} on the way to {name} is neither hinge nor slide; hold it where it is (--lock NAME=0) or begin behind it (--root)",
             file=file.path,
         )
     if not driven:
@@ -207,7 +207,14 @@ def start(
             address = model.jnt_qposadr[joint]
             qpos[address] = np.clip(qpos[address], *model.jnt_range[joint])
     for name, value in locked.items():
-        qpos[model.jnt_qposadr[file.joints.index(plain(name))]] = value
+        joint = file.joints.index(plain(name))
+        if file.kinds[joint] in (HINGE, SLIDE):
+            qpos[model.jnt_qposadr[joint]] = value
+        elif value != 0.0:
+            raise InputError(
+                f"--lock {name}={value:g}: is of type {file.kinds[joint]}, which is held where the file puts it; allowed is 0",
+                file=file.path,
+            )
     held = [
         f"{file.joints[j]} = {qpos[model.jnt_qposadr[j]]:.4g}"
         for j in range(model.njnt)

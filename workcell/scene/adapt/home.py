@@ -50,6 +50,8 @@ class Home:
     reach_m: float
     floor_m: float
     """Height of the floor in the base's frame."""
+    on_floor: tuple[str, ...]
+    """Bodies that move level over the floor, nearer than `NEAR_M`."""
 
 
 def poses(model: mujoco.MjModel) -> NDArray[np.float64]:
@@ -131,7 +133,7 @@ def choose(
     if keyframe is not None:
         name, q = keyframe
         if room.clearance(far, q) > CLEAR_M and _dexterity(model, data, site, reach) > 0.02:
-            return Home(q, (f"home: keyframe {name}",), reach, room.floor_m)
+            return Home(q, (f"home: keyframe {name}",), reach, room.floor_m, room.on_floor)
         said.append(
             f"keyframe {name} is no home: the arm is too near itself in it, or cannot move its tool every way"
         )
@@ -158,7 +160,7 @@ def choose(
     said.append(
         f"home: of {CANDIDATES} poses the one in which the tool can move best, points outwards and the arm is clear of itself"
     )
-    return Home(best, tuple(said), reach, room.floor_m)
+    return Home(best, tuple(said), reach, room.floor_m, room.on_floor)
 
 
 class _Room:
@@ -201,8 +203,26 @@ class _Room:
             heights.append([self._bottom(g) for g in self._moving])
         heights = np.array(heights).reshape(SAMPLES, -1)
         turns_level = np.ptp(heights, axis=0) < 1e-6
+        near = heights.max(axis=0, initial=-np.inf) < NEAR_M
+        self.on_floor = tuple(
+            dict.fromkeys(
+                self._model.body(self._model.geom_bodyid[g]).name
+                for g, level in zip(self._moving, turns_level & near, strict=True)
+                if level and self._slides(int(self._model.geom_bodyid[g]))
+            )
+        )
+        """Bodies that a slide joint moves level over the floor."""
         best = heights.max(axis=0, initial=-np.inf) - 2 * CLEAR_M
         return best[~turns_level].tolist()
+
+    def _slides(self, body: int) -> bool:
+        model = self._model
+        while body:
+            start, count = model.body_jntadr[body], model.body_jntnum[body]
+            if mujoco.mjtJoint.mjJNT_SLIDE in model.jnt_type[start : start + count]:
+                return True
+            body = int(model.body_parentid[body])
+        return False
 
     def _bottom(self, geom: int) -> float:
         model, data = self._model, self._data

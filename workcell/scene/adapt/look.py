@@ -8,9 +8,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from workcell.errors import InputError
-from workcell.scene import arm_file
 from workcell.scene.adapt import choose
+from workcell.scene.adapt.source import read
 from workcell.scene.arm_file import (
     ACCELERATION_LIMIT_NUMERIC,
     VELOCITY_LIMIT_NUMERIC,
@@ -29,10 +28,7 @@ def look(path: Path, tool: str | None = None) -> tuple[list[str], list[str]]:
     Raises:
         InputError: the file does not compile, or nothing in it can be an arm.
     """
-    try:
-        file = arm_file.read(path)
-    except InputError as error:
-        raise InputError(error.faults, file=path) from error
+    file = read(path)
     chain = choose.chain(file, tool, None, {})
     qpos, said = choose.start(file, chain, {})
     names = ", ".join(file.joints[j] for j in chain.driven)

@@ -17,10 +17,10 @@ import numpy as np
 from lxml import etree
 
 from workcell.errors import InputError
-from workcell.scene import arm_file
 from workcell.scene.adapt import choose, home
 from workcell.scene.adapt.adapt import Adapted, Wishes, adapt
 from workcell.scene.adapt.capsules import Capsule
+from workcell.scene.adapt.source import read
 from workcell.scene.arm_file import ArmFile, plain
 from workcell.scene.pairs import NEIGHBOUR_JOINTS
 
@@ -61,7 +61,7 @@ def adapt_parts(path: Path, tools: Mapping[str, str], wishes: Wishes) -> Robot:
     Raises:
         InputError: the file does not compile, a name is unknown, or one part lies on the way to another.
     """
-    file = arm_file.read(path)
+    file = read(path)
     name = wishes.name or choose.name_of(path)
     ways = _ways(file, tools)
     roots = _roots(file, ways)

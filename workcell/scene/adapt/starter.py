@@ -33,6 +33,11 @@ def scenario_text(arm: Adapted, step_m: float | None) -> str:
         towards = f"{{ position_m = [{-x + out + step_m:.4f}, 0.0, {tool[2] + z:.4f}] }}"
         job = f'{{ kind = "move", waypoints = [{towards}], speed_m_s = 0.05 }}, {{ kind = "retreat", speed_m_s = 0.05 }}'
     home = ", ".join(f"{q:g}" for q in arm.home_rad)
+    over_floor = "".join(
+        f'[[ignore]]\npair = ["{name}/{body}", "floor"]\nreason = "moves level over the floor"\n\n'
+        for name in ("surgeon", "nurse")
+        for body in arm.on_floor
+    )
     return f"""# Two arms of {arm.name}.xml face to face: the surgeon's holds still, the nurse's comes nearer and goes back.
 # Written by `workcell import`; a place to begin.
 description = "Two {arm.name} face to face"
@@ -61,7 +66,7 @@ tool_site = "{TOOL}"
 priority = 1
 job = [{job}]
 
-[expect]
+{over_floor}[expect]
 contact = false
 completed = true
 """

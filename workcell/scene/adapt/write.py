@@ -58,7 +58,8 @@ def body_name(file: ArmFile, link: Link) -> str:
     """Of a link in the adapted file."""
     if link.first:
         return file.bodies[link.first]
-    return "base" if "base" not in file.bodies else "stand"
+    names = ("base", "stand", *(f"stand{k}" for k in range(len(file.bodies))))
+    return next(name for name in names if name not in file.bodies)
 
 
 def volume(corners: NDArray[np.float64]) -> float:
