@@ -168,7 +168,7 @@ class SimulatedRobot:
         ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
-        self.address = ("127.0.0.1", int(self.process.stdout.readline()))
+        self.address: tuple[str, int] = ("127.0.0.1", int(self.process.stdout.readline()))
 
     def __enter__(self) -> SimulatedRobot:
         return self
