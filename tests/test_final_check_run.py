@@ -84,6 +84,7 @@ def approach(rng: np.random.Generator) -> dict:
     ]
     content["simulation"] |= {"period_s": 0.01, "duration_s": 4.0}
     content["check"] = {"d_min_m": CHECK_D_MIN_M}
+    content["control"]["gate"] = False  # it would see through the sabotage
     content["sabotage"] = {"factor_multiplier": 1e6}
     return content
 

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workcell.control.laws import gate as laws
+from workcell.control.laws import gate_box
 
 from . import gate_cell
 from .gate_cell import bench, planar_arm, seven_joint_arm, stop_states
@@ -221,12 +222,12 @@ def test_gradient_of_the_bound_against_differences(rng):
 )
 def test_a_joint_never_passes_its_end_stop_between_ticks(room, speed, a, period):
     """A ticked loop that asks for full speed towards the stop: not even by the a dt²/8 of the continuous formula."""
-    last = min(speed, laws.largest_stopping_speed(room, a, period, 0.0))
+    last = min(speed, gate_box.largest_stopping_speed(room, a, period, 0.0))
     position, box, bounds = 0.0, np.empty((2, 1)), np.empty((2, 1), dtype=np.int64)
     one = np.ones(1)
     for _ in range(400):
         at = np.array([position])
-        laws.joint_box(
+        gate_box.next_commands(
             at,
             at,
             np.array([last]),
@@ -255,7 +256,7 @@ def test_the_largest_stopping_speed_is_the_inverse_of_the_ticked_stop(rng, laten
             rng.choice([0.002, 0.01]),
             10.0 ** rng.uniform(-6, 0),
         )
-        v = laws.largest_stopping_speed(room, a, period, latency)
+        v = gate_box.largest_stopping_speed(room, a, period, latency)
         way, u = v * (latency + period), v
         while u > 0.0:
             u = max(0.0, u - a * period)
@@ -268,7 +269,7 @@ def test_what_the_joints_cannot_exceed_comes_first():
     box, bounds = np.empty((2, 2)), np.empty((2, 2), dtype=np.int64)
     one = np.ones(2)
     at = np.array([1.1, 1.1])
-    laws.joint_box(
+    gate_box.next_commands(
         at,
         at,
         np.array([0.5, 0.0]),
@@ -283,7 +284,7 @@ def test_what_the_joints_cannot_exceed_comes_first():
         bounds,
     )
     np.testing.assert_allclose(box, [[0.49, -0.01], [0.49, 0.0]])
-    assert bounds[1].tolist() == [laws.ACCELERATION, laws.POSITION]
+    assert bounds[1].tolist() == [gate_box.ACCELERATION, gate_box.POSITION]
 
 
 def test_jerk_bounds_the_change_of_acceleration_and_gives_way_to_the_end_stop():
@@ -291,11 +292,11 @@ def test_jerk_bounds_the_change_of_acceleration_and_gives_way_to_the_end_stop():
     one, dt = np.ones(2), 0.01
     # The second joint is at its end stop and may only go back, whatever its jerk.
     at, last, change = np.array([0.0, 1.0]), np.array([0.1, 0.005]), np.array([0.5, 0.5])
-    laws.joint_box(at, at, last, change, -one, one, one, one, 20.0 * one, dt, box, bounds)
+    gate_box.next_commands(at, at, last, change, -one, one, one, one, 20.0 * one, dt, box, bounds)
     np.testing.assert_allclose(
         box[:, 0], [0.1 + 0.5 * dt - 20 * dt**2, 0.1 + 0.5 * dt + 20 * dt**2]
     )
-    assert bounds[:, 0].tolist() == [laws.JERK, laws.JERK]
+    assert bounds[:, 0].tolist() == [gate_box.JERK, gate_box.JERK]
     assert box[1, 1] == pytest.approx(0.0)
 
 

@@ -25,7 +25,9 @@ def test_an_honest_arm_is_never_short_of_t_min():
 
 
 def test_an_arm_that_cheats_is_counted_and_says_in_which_state_it_was():
-    row = made(sabotage={"factor_multiplier": 1.5})
+    row = made(
+        sabotage={"factor_multiplier": 1.5}, control={"gate": False}, check={"d_min_m": 1e-3}
+    )
     assert row.smallest_ttc_command_own_s is not None
     assert row.smallest_ttc_command_own_s < 0.9
     assert row.short_ticks

@@ -65,7 +65,7 @@ class Controller:
         self._order = [*self._support, *(arm for arm in self._arms if not arm.support)]
         self._setpoints = Setpoints(cell, self._arms, self._sensing)
         self._strategies = Strategies(cell)
-        self._passage = Passage(cell)
+        self._passage = Passage(cell, self._sensing)
         pair_assignment.assign(cell, self.grasps, self._sensing.watched, self._arms)
         self._commands: dict[str, NDArray[np.float64] | Twist] = {}
         """What is asked from outside, for the next tick."""

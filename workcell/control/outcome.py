@@ -82,7 +82,7 @@ def outcome(
 
 
 def _arm_row(tick: ArmTick) -> ArmRecord:
-    sensed, setpoint, steering, _ = tick
+    sensed, setpoint, steering, command = tick
     target = setpoint.target
     return ArmRecord(
         target_position_m=target.position_m,
@@ -105,5 +105,7 @@ def _arm_row(tick: ArmTick) -> ArmRecord:
         limiting_pair=steering.limiting_pair,
         reason=steering.reason,
         attempt=steering.attempt,
+        gate=command.gate,
+        gate_pair=command.gate_pair,
         mode=steering.mode,
     )

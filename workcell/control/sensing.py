@@ -17,7 +17,7 @@ from workcell.control.arm import ControlledArm
 from workcell.control.arm_constraints import Watched
 from workcell.control.finite import require_finite
 from workcell.control.grasp import Grasps
-from workcell.control.proximity import PairGeometry
+from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.second_order import second_order
 from workcell.control.tick import ArmSensed, Sensed
 from workcell.scenario import Control
@@ -47,6 +47,8 @@ class Sensing:
         self._geometry = PairGeometry(
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
         )
+        self.proximity: Proximity
+        """Of the watched pairs, in arrays that the next tick overwrites."""
         self.grasps = Grasps(cell)
         self.watched = Watched(len(cell.pairs), [arm.dofs for arm in cell.arms], cell.model.nv)
 
@@ -69,7 +71,7 @@ class Sensing:
         belief.update(qpos)
         mujoco.mj_comVel(self._model, belief.data)
         mujoco.mj_sensorPos(self._model, belief.data)
-        proximity = self._geometry.measure(belief.data, kept=True)
+        proximity = self.proximity = self._geometry.measure(belief.data, kept=True)
         watched.take(proximity, self.grasps.fold(belief.data, proximity.jacobian))
         watched.accel_m_s2 = None
         if settings.order == 2:

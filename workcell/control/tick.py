@@ -128,6 +128,10 @@ class Command(NamedTuple):
 
     velocity_rad_s: Array
     """(n,) what the joints are told."""
+    gate: str = ""
+    """What the gate did and for what reasons (`gate.REASONS`); empty where the command passed as it was."""
+    gate_pair: int | None = None
+    """The watched pair of the first pair rule that the command failed."""
 
 
 class ArmTick(NamedTuple):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workcell.signals import Layout, columns
 from workcell.trace.table import Trace
 
-PAIR_INDICES = ("closest_pair", "ttc_pair", "ttc_command_pair", "limiting_pair")
+PAIR_INDICES = ("closest_pair", "ttc_pair", "ttc_command_pair", "limiting_pair", "gate_pair")
 """Signals that are an index of a pair."""
 
 

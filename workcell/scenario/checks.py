@@ -68,6 +68,10 @@ def _amounts(scenario: Scenario) -> Iterator[str]:
             f"simulation.duration_s = {scenario.simulation.duration_s:g} is {ticks:.3g} ticks of period_s = "
             f"{scenario.simulation.period_s:g}; allowed is 1 to {MOST_TICKS:,}"
         )
+    if not scenario.control.gate and not scenario.check.enabled:
+        yield (
+            "control.gate = false: allowed only with check.enabled = true, since nothing else would stand behind a strategy"
+        )
     for arm in scenario.arm:
         if len(arm.job) * arm.job_repeat > MOST_JOBS:
             yield (

@@ -97,6 +97,8 @@ class Control(Table):
     resolves_impasse: bool = True
     detour_m: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     entry: Entry | Literal[""] = ""
+    gate: bool = True
+    point_speed_m_s: Speed = 1.0
 
 
 class Arm(Table):

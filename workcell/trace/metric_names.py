@@ -53,6 +53,7 @@ CELL_METRICS = (
     MetricName("smallest_ttc_command_reason", "", "what limited the arms then"),
     MetricName("smallest_ttc_command_own_s", "s", "the same over the ticks for which a support arm answers"),
     MetricName("own_short_ticks", "1", "ticks in which a pair fell short of t_min by a support arm's own closing"),
+    MetricName("gated_ticks", "1", "ticks in which the gate replaced a command of a support arm"),
     MetricName("scaling_ticks", "1", "ticks in mode scale"),
     MetricName("ttc_held_within_*_percent", "1", "fraction of the scaled ticks at which the time to collision was within 2 or 5 % of t_min"),
     MetricName("hand_overs", "1", "how often an instrument changed hands; in cells with instruments"),
@@ -83,6 +84,7 @@ ARM_METRICS = (
     MetricName("mode_changes", "1", "changes of its mode"),
     MetricName("mode_changes_per_s", "1/s", "the same a second of the run"),
     MetricName("mode_*_ticks", "1", "its ticks in a mode, for every mode that occurred"),
+    MetricName("gated_ticks", "1", "ticks in which the gate replaced its command"),
     MetricName("reason_*_ticks", "1", "ticks in which a reason kept its command from what was wanted"),
 )  # fmt: skip
 """Metrics of each arm, `<arm>.<name>` in the summary."""

@@ -64,6 +64,7 @@ def summarise(trace: Trace) -> dict[str, Metric]:
         **_distances(trace),
         **_times_to_collision(trace),
         **_modes(trace, ""),
+        **_gated(trace),
     }
     for arm in trace.layout.arms:
         for name, value in {**_arm(trace, arm), **_modes(trace, f"{arm}.")}.items():
@@ -277,6 +278,19 @@ def _meeting(trace: Trace, arm: str) -> dict[str, Metric]:
         return {}
     ticks = held_back(trace, arm) & (trace[f"{arm}.job"] == MEET_JOB)
     return _held_at_t_min(trace, ticks, "meet_")
+
+
+def _gated(trace: Trace) -> dict[str, Metric]:
+    """In how many ticks the gate has replaced a command; nothing for traces from before there was one."""
+    counts: dict[str, Metric] = {}
+    whole = np.zeros(len(trace), dtype=bool)
+    for arm in trace.layout.arms:
+        if f"{arm}.gate" not in trace.column_names:
+            return {}
+        gated = trace[f"{arm}.gate"].astype(str) != ""
+        counts[f"{arm}.gated_ticks"] = int(gated.sum())
+        whole |= gated
+    return {"gated_ticks": int(whole.sum())} | counts
 
 
 def _retreating(trace: Trace, arm: str) -> dict[str, Metric]:

@@ -3,6 +3,7 @@
 answer   the gate itself: a command in, the command that passes out
 data     what it is given and what it answers
 rows     one arm's pairs at a configuration, from MuJoCo's data
+stage    one arm's gate, tick by tick
 """
 
 from workcell.control.gate.answer import CLEARANCE_M, ahead, braking, gate
@@ -16,10 +17,12 @@ from workcell.control.gate.data import (
     JointState,
 )
 from workcell.control.gate.rows import GateGeometry
+from workcell.control.gate.stage import ArmGate
 
 __all__ = [
     "CLEARANCE_M",
     "REASONS",
+    "ArmGate",
     "GateGeometry",
     "GateLinks",
     "GateRows",

@@ -38,6 +38,7 @@ from workcell.control.gate.data import (
     JointState,
 )
 from workcell.control.laws import gate as laws
+from workcell.control.laws import gate_box
 from workcell.errors import WorkcellError
 
 CLEARANCE_M = 0.5e-3
@@ -50,8 +51,6 @@ REST_SLACK_M_S = 1e-4
 """The same at d_min, where an arm that starts to leave is first moved by the last digits of its tool error."""
 SPEED_SLACK = 1e-6
 """Relative, on the speed cap: rounding."""
-SAME_RAD_S = 1e-9
-"""A command that changes by less was not replaced: rounding of the box."""
 ROUNDS = 4
 """Of the program, each with the cuts of all before it."""
 TOWARDS_BRAKING = (0.5, 0.25, 0.1)
@@ -161,7 +160,7 @@ class _Gate:
         y = command.clip(*self.box)
         look = self._look(y)
         moved = np.abs(y - command).max(initial=0.0)
-        if look.passes and moved <= SAME_RAD_S:
+        if look.passes and moved <= laws.SAME_RAD_S:
             return Gated(command, "passed")
         _require_finite(self.state, self.rows, self.other_m_s)
         brake = braking(self.state.last, self.limits, self.rules.period_s)
@@ -184,7 +183,7 @@ class _Gate:
         state, limits, rules, rows = self.state, self.limits, self.rules, self.rows
         n = len(state.position)
         self.box, self.bounds = np.empty((2, n)), np.empty((2, n), dtype=np.int64)
-        laws.joint_box(
+        gate_box.next_commands(
             state.position + state.ahead_low,
             state.position + state.ahead_high,
             state.last,
@@ -307,7 +306,7 @@ class _Gate:
 
     def _why(self, command: Array, y: Array, look: _Look) -> tuple[tuple[str, ...], int | None]:
         reasons, pair, moved = [], None, np.abs(y - command)
-        if moved.max(initial=0.0) > SAME_RAD_S:
+        if moved.max(initial=0.0) > laws.SAME_RAD_S:
             joint = int(moved.argmax())
             reasons.append(
                 BOUNDS[int(self.bounds[int(command[joint] > self.box[1, joint]), joint])]

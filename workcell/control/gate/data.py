@@ -12,16 +12,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from workcell.control.laws import gate as laws
+from workcell.control.laws import gate_box
+from workcell.control.laws import gate_points as points
 
 Array = NDArray[np.float64]
 How = Literal["passed", "nearest", "towards_braking", "braking"]
 
 BOUNDS = {
-    laws.POSITION: "position",
-    laws.SPEED: "speed",
-    laws.ACCELERATION: "acceleration",
-    laws.JERK: "jerk",
+    gate_box.POSITION: "position",
+    gate_box.SPEED: "speed",
+    gate_box.ACCELERATION: "acceleration",
+    gate_box.JERK: "jerk",
 }
 REASONS = ("not_finite", *BOUNDS.values(), "time_to_collision", "stop", "point_speed")
 """Why a command is replaced, in the order in which the gate looks."""
@@ -81,7 +82,7 @@ class GateRows:
 
 @dataclass(frozen=True)
 class GateLinks:
-    """The corners of the arm's own geoms, C of them, whose speed is capped; fields as in `laws.point_speeds`."""
+    """The corners of the arm's own geoms, C of them, whose speed is capped; fields as in `points.point_speeds`."""
 
     cdof: Array
     centre: Array
@@ -95,13 +96,13 @@ class GateLinks:
     def speeds_m_s(self, command: Array) -> Array:
         """(C,) largest speed about each corner."""
         out = np.empty(len(self.radius))
-        laws.point_speeds(command, *self._arrays, out)
+        points.point_speeds(command, *self._arrays, out)
         return out
 
     def gradient(self, corner: int, command: Array) -> Array:
         """(n,) of one of these speeds."""
         out = np.empty(len(command))
-        laws.speed_gradient(corner, command, *self._arrays, out)
+        points.speed_gradient(corner, command, *self._arrays, out)
         return out
 
     @cached_property

@@ -7,14 +7,14 @@ corners of its bounding box, of which only their displacement counts (docs/theor
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.gate.data import GateLinks, GateRows
-from workcell.control.laws import gate as laws
+from workcell.control.laws import gate_points
 from workcell.control.proximity import Proximity
 
 _GEOM = mujoco.mjtGeom
@@ -41,8 +41,10 @@ class GateGeometry:
         *,
         held: Mapping[int, int] | None = None,
     ):
-        self._dofs = np.asarray(dofs, dtype=np.intp)
-        self._roots = model.body_rootid[model.dof_bodyid[self._dofs]]
+        self.dofs = np.ascontiguousarray(dofs, dtype=np.int64)
+        """(n,)"""
+        self.roots = model.body_rootid[model.dof_bodyid[self.dofs]].astype(np.int64)
+        """(n,) root bodies of their trees."""
         held = held or {}
         number, side, geom, order, sign = [], [], [], [], []
         for w in concerned:
@@ -58,60 +60,68 @@ class GateGeometry:
             geom.append(geoms[own])
             # Seen from the other geom, the chain runs down its branch and out along the own one.
             chain = mine + theirs[::-1]
-            order.append(chain + [-1] * (len(self._dofs) - len(chain)))
-            sign.append([float(k in mine) - float(k in theirs) for k in range(len(self._dofs))])
-        n = len(self._dofs)
+            order.append(chain + [-1] * (len(self.dofs) - len(chain)))
+            sign.append([float(k in mine) - float(k in theirs) for k in range(len(self.dofs))])
+        n = len(self.dofs)
+        points = [_points(model, g) for g in geom]
         self.pair = np.array(number, dtype=np.intp)
-        self._side, self._geom = np.array(side), np.array(geom, dtype=np.intp)
-        self._order = np.array(order, dtype=np.intp).reshape(-1, n)
-        self._sign = np.array(sign).reshape(-1, n)
-        points = [_points(model, int(g)) for g in self._geom]
-        self._first = np.cumsum([0, *(len(local) for local, _ in points)]).astype(np.intp)
-        self._local = np.concatenate([np.empty((0, 3)), *(local for local, _ in points)])
-        self._exact = np.array([exact for _, exact in points], dtype=bool)
-        self._outline(model, held)
+        self.first = np.cumsum([0, *(len(local) for local, _ in points)]).astype(np.intp)
+        self.order = np.array(order, dtype=np.intp).reshape(-1, n)
+        self.pairs = (
+            self.pair,
+            np.array(side, dtype=float),
+            np.array(geom, dtype=np.intp),
+            np.array([exact for _, exact in points], dtype=bool),
+            self.first,
+            np.concatenate([np.empty((0, 3)), *(local for local, _ in points)]),
+            self.order,
+            np.array(sign, dtype=float).reshape(-1, n),
+        )
+        """Arguments `pairs` to `sign` of `laws.gate_points.end_rows`."""
+        self.outline = _outline(model, sorted(set(geom)), lambda g: self._chain(model, g, held), n)
+        """Geom, moving joints, radius and place of the corners of the arm's geoms, as in `laws.gate_points.point_speeds`."""
+
+    @property
+    def points(self) -> int:
+        """E, the points of all pairs."""
+        return int(self.first[-1])
+
+    @property
+    def corners(self) -> int:
+        """C, the corners of all own geoms."""
+        return len(self.outline[0])
 
     def rows(self, data: mujoco.MjData, proximity: Proximity) -> GateRows:
         """At the configuration of `data`, after `mj_comPos`, with the proximity of all watched pairs."""
-        P, E, n = len(self.pair), len(self._local), len(self._dofs)
+        P, E, n = len(self.pair), self.points, len(self.dofs)
         near, own = np.empty(P), np.empty((P, n))
         rows, levers, low = np.empty((E, n)), np.empty((E, n)), np.empty(E)
-        laws.end_rows(
-            data.cdof[self._dofs],
-            data.subtree_com[self._roots],
+        gate_points.end_rows(
+            data.cdof[self.dofs],
+            data.subtree_com[self.roots],
             data.geom_xpos,
             data.geom_xmat,
             proximity.distance_m,
             proximity.normal,
             proximity.witness_i_m,
             proximity.witness_j_m,
-            self.pair,
-            self._side,
-            self._geom,
-            self._exact,
-            self._first,
-            self._local,
-            self._order,
-            self._sign,
+            *self.pairs,
             near,
             own,
             rows,
             levers,
             low,
         )
-        return GateRows(self.pair, near, own, self._first, self._order, rows, levers, low)
+        return GateRows(self.pair, near, own, self.first, self.order, rows, levers, low)
 
     def links(self, data: mujoco.MjData) -> GateLinks:
         """The corners of the arm's own geoms at the configuration of `data`, after `mj_comPos`."""
         return GateLinks(
-            data.cdof[self._dofs],
-            data.subtree_com[self._roots],
+            data.cdof[self.dofs],
+            data.subtree_com[self.roots],
             data.geom_xpos,
             data.geom_xmat,
-            self._corner_geom,
-            self._corner_moves,
-            self._corner_radius,
-            self._corner_local,
+            *self.outline,
         )
 
     def _chain(self, model: mujoco.MjModel, geom: int, held: Mapping[int, int]) -> list[int]:
@@ -122,20 +132,24 @@ class GateGeometry:
             start = int(model.body_dofadr[body])
             above.update(range(start, start + int(model.body_dofnum[body])))
             body = int(model.body_parentid[body])
-        return [k for k in range(len(self._dofs) - 1, -1, -1) if int(self._dofs[k]) in above]
+        return [k for k in range(len(self.dofs) - 1, -1, -1) if int(self.dofs[k]) in above]
 
-    def _outline(self, model: mujoco.MjModel, held: Mapping[int, int]) -> None:
-        """Corners and radii of every geom that moves with the arm and stands in a pair."""
-        geoms = sorted({int(g) for g in self._geom})
-        corners = [_points(model, g)[0] for g in geoms]
-        count = [len(local) for local in corners]
-        moves = np.zeros((len(geoms), len(self._dofs)), dtype=bool)
-        for row, g in zip(moves, geoms, strict=True):
-            row[self._chain(model, g, held)] = True
-        self._corner_geom = np.repeat(np.array(geoms, dtype=np.intp), count)
-        self._corner_moves = np.repeat(moves, count, axis=0)
-        self._corner_radius = np.repeat(np.array([_radius(model, g) for g in geoms]), count)
-        self._corner_local = np.concatenate([np.empty((0, 3)), *corners])
+
+def _outline(
+    model: mujoco.MjModel, geoms: list[int], chain: Callable[[int], list[int]], n: int
+) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+    """Geom (C,), moving joints (C, n), radius (C,) and place (C, 3) of the corners of geoms."""
+    corners = [_points(model, g)[0] for g in geoms]
+    count = [len(local) for local in corners]
+    moves = np.zeros((len(geoms), n), dtype=bool)
+    for row, g in zip(moves, geoms, strict=True):
+        row[chain(g)] = True
+    return (
+        np.repeat(np.array(geoms, dtype=np.intp), count),
+        np.repeat(moves, count, axis=0),
+        np.repeat(np.array([_radius(model, g) for g in geoms], dtype=float), count),
+        np.concatenate([np.empty((0, 3)), *corners]),
+    )
 
 
 def _radius(model: mujoco.MjModel, geom: int) -> float:

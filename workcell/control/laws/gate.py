@@ -1,13 +1,10 @@
-"""The gate's laws: what the joints can follow, and a bound on every distance along a stop (docs/theory.md section 9).
+"""The gate's laws: a bound on every distance along a stop, and what is asked of it (docs/theory.md section 9).
 
-    largest_stopping_speed   how fast a joint may turn with so much room ahead of its end stop
-    joint_box                interval of commands each joint may be given next
-    end_rows                 the material points of each pair's own geom: rate rows, lever arms, distances
     demands                  what the gate asks of each pair's rate and of each point's stop
     stop_margins             lower bound of each point's distance while the joints brake to rest
     look                     how a command does by both
     stop_gradient            how one such bound changes with the command
-    point_speeds             bound on the speed of any point of a link
+    passes                   all of it for one command, from MuJoCo's arrays
 
 Symbols: n joints, P pairs, E points (all pairs together). Points of pair p are `first[p]` to `first[p + 1]`.
 """
@@ -19,185 +16,12 @@ import math
 import numpy as np
 
 from workcell.control.laws import law, part
+from workcell.control.laws.gate_box import next_commands
+from workcell.control.laws.gate_points import end_rows, point_speeds
 from workcell.control.laws.pair_rule import allowance
 
-POSITION, SPEED, ACCELERATION, JERK = 1, 2, 3, 4
-"""What bounds an interval of `joint_box`."""
-
-
-@part
-def largest_stopping_speed(room, deceleration, period, latency):
-    """Largest speed v from which ticked braking still ends within some room.
-
-    A command v acts for `latency + period`; then v - a dt, v - 2 a dt, ... act for a period each, down
-    to 0. With v = (N + f) a dt, 0 <= f < 1, the way is
-
-        a dt² (N (N + 1) / 2 + N τ + f (N + 1 + τ)),   τ = latency / period.
-
-    This is its exact inverse. The continuous formula passes the end stop by up to a dt² / 8. In the last
-    step (N = 0, τ = 0) it is room / dt.
-
-    Args:
-        room: Distance left, rad or m; <= 0 gives 0.
-        deceleration: a > 0.
-        period: dt > 0, s.
-        latency: >= 0, s: how long commands take before they act.
-    """
-    if room <= 0.0:
-        return 0.0
-    step = deceleration * period
-    quanta, tau = room / (step * period), latency / period
-    whole = math.floor(math.sqrt((0.5 + tau) ** 2 + 2.0 * quanta) - (0.5 + tau))
-    used = whole * (whole + 1.0) / 2.0 + whole * tau
-    return step * (whole + min(1.0, max(0.0, (quanta - used) / (whole + 1.0 + tau))))
-
-
-@law
-def joint_box(
-    q_low, q_high, last, last_change, lower, upper, speed, acceleration, jerk, period, box, bounds
-):
-    """Interval of velocities that each joint may be commanded next.
-
-    Position (`largest_stopping_speed` to either end stop), speed, acceleration from the last command, and
-    jerk from the last change of command. Where they contradict one another, what the joints cannot
-    exceed comes first: acceleration, then position and speed, then jerk. Beyond an end stop only
-    the way back is left.
-
-    Args:
-        q_low, q_high: (n,) interval in which each joint is when the command begins to act.
-        last: (n,) last command.
-        last_change: (n,) last command less the one before, over the period.
-        lower, upper: (n,) ranges, infinite where there is none.
-        speed, acceleration, jerk: (n,) limits > 0; jerk may be infinite.
-        period: s.
-        box: (2, n) out: smallest and largest command.
-        bounds: (2, n) integers out: what set them (`POSITION`, ...).
-    """
-    for k in range(len(last)):
-        for side in range(2):
-            sign = 1.0 if side == 1 else -1.0
-            room = upper[k] - q_high[k] if side == 1 else q_low[k] - lower[k]
-            bound, why = speed[k], SPEED
-            if room < math.inf:
-                stopping = largest_stopping_speed(room, acceleration[k], period, 0.0)
-                if stopping < bound:
-                    bound, why = stopping, POSITION
-            box[side, k], bounds[side, k] = sign * bound, why
-        step = acceleration[k] * period
-        low, high = last[k] - step, last[k] + step
-        # The joint cannot leave this interval: what lies outside it is moved to its nearer end.
-        for side in range(2):
-            if box[side, k] < low or (side == 0 and box[side, k] <= low):
-                box[side, k], bounds[side, k] = low, ACCELERATION
-            elif box[side, k] > high or (side == 1 and box[side, k] >= high):
-                box[side, k], bounds[side, k] = high, ACCELERATION
-        if jerk[k] < math.inf:
-            middle, width = last[k] + last_change[k] * period, jerk[k] * period * period
-            if box[0, k] < middle - width <= box[1, k]:
-                box[0, k], bounds[0, k] = middle - width, JERK
-            if box[0, k] <= middle + width < box[1, k]:
-                box[1, k], bounds[1, k] = middle + width, JERK
-
-
-@part
-def point_row(cdof, centre, k, sign, x, y, z):
-    """Velocity (3) that joint k at unit speed gives a material point, sign times; theory section 2.
-
-    The joint's screw is (ω, ν) with respect to `centre`: v = ν + ω × (point - centre).
-    """
-    ox, oy, oz = cdof[k, 0], cdof[k, 1], cdof[k, 2]
-    px, py, pz = x - centre[k, 0], y - centre[k, 1], z - centre[k, 2]
-    return (
-        sign * (cdof[k, 3] + oy * pz - oz * py),
-        sign * (cdof[k, 4] + oz * px - ox * pz),
-        sign * (cdof[k, 5] + ox * py - oy * px),
-    )
-
-
-@part
-def world(geom_position, geom_rotation, g, local, e):
-    """A point of a geom's frame in the world."""
-    x, y, z, R = local[e, 0], local[e, 1], local[e, 2], geom_rotation
-    return (
-        geom_position[g, 0] + R[g, 0] * x + R[g, 1] * y + R[g, 2] * z,
-        geom_position[g, 1] + R[g, 3] * x + R[g, 4] * y + R[g, 5] * z,
-        geom_position[g, 2] + R[g, 6] * x + R[g, 7] * y + R[g, 8] * z,
-    )
-
-
-@law
-def end_rows(
-    cdof,
-    centre,
-    geom_position,
-    geom_rotation,
-    distance,
-    normal,
-    witness_i,
-    witness_j,
-    pairs,
-    side,
-    geom,
-    exact,
-    first,
-    local,
-    order,
-    sign,
-    near,
-    own,
-    rows,
-    levers,
-    low,
-):
-    """Rate rows, lever arms and distances of the points that span each pair's own geom.
-
-    For a point e at P_e: A_ek = n · J_ek, R_ek = |J_ek|, and m_e = d + n · (P_e - w), its distance from
-    the plane through the other geom's witness point; m_e = d where the points span a hull that
-    contains the geom with room to spare. The witness point itself has the row G of theory section 2.
-
-    Args:
-        cdof: (n, 6) joint screws, angular part first.
-        centre: (n, 3) the point each refers to.
-        geom_position, geom_rotation: (G, 3), (G, 9) of all geoms.
-        distance, normal, witness_i, witness_j: Of all watched pairs (i, j); n points from j to i.
-        pairs: (P,) which of them.
-        side: (P,) 1 where the own geom is i, -1 where it is j.
-        geom: (P,) the own geom.
-        exact: (P,) whether the points span just the geom (a round one's axis, a box).
-        first: (P + 1,) where the points of each pair begin.
-        local: (E, 3) the points in their geom's frame.
-        order: (P, n) joints that move the own geom against the other, from its tip on; -1 after the last.
-        sign: (P, n) 1 where a joint moves the own geom, -1 where the other, 0 else.
-        near: (P,) out: d of these pairs.
-        own: (P, n) out: G.
-        rows: (E, n) out: A.
-        levers: (E, n) out: R.
-        low: (E,) out: m.
-    """
-    rows[:], levers[:], own[:] = 0.0, 0.0, 0.0
-    for p in range(len(pairs)):
-        w, g, towards = pairs[p], geom[p], side[p]
-        nx, ny, nz = towards * normal[w, 0], towards * normal[w, 1], towards * normal[w, 2]
-        witness = witness_i if towards > 0.0 else witness_j
-        wx, wy, wz = witness[w, 0], witness[w, 1], witness[w, 2]
-        near[p] = distance[w]
-        for e in range(first[p], first[p + 1]):
-            x, y, z = world(geom_position, geom_rotation, g, local, e)
-            ahead = nx * (x - wx) + ny * (y - wy) + nz * (z - wz)
-            low[e] = distance[w] + ahead if exact[p] else distance[w]
-            for i in range(order.shape[1]):
-                k = order[p, i]
-                if k < 0:
-                    break
-                vx, vy, vz = point_row(cdof, centre, k, sign[p, k], x, y, z)
-                rows[e, k] = nx * vx + ny * vy + nz * vz
-                levers[e, k] = math.sqrt(vx * vx + vy * vy + vz * vz)
-        for i in range(order.shape[1]):
-            k = order[p, i]
-            if k < 0:
-                break
-            vx, vy, vz = point_row(cdof, centre, k, sign[p, k], wx, wy, wz)
-            own[p, k] = nx * vx + ny * vy + nz * vz
+SAME_RAD_S = 1e-9
+"""A command this far outside of its interval is in it: rounding."""
 
 
 @law
@@ -414,64 +238,67 @@ def stop_gradient(
         gradient[k] = -direction * per_speed * (closing + slope[i])
 
 
-@part
-def point_velocity(command, cdof, centre, moves, c, x, y, z):
-    """Velocity (3) of a point of a link and angular velocity (3) of the link."""
-    vx = vy = vz = wx = wy = wz = 0.0
-    for k in range(len(command)):
-        if moves[c, k]:
-            ax, ay, az = point_row(cdof, centre, k, 1.0, x, y, z)
-            u = command[k]
-            vx, vy, vz = vx + u * ax, vy + u * ay, vz + u * az
-            wx, wy, wz = wx + u * cdof[k, 0], wy + u * cdof[k, 1], wz + u * cdof[k, 2]
-    return vx, vy, vz, wx, wy, wz
-
-
 @law
-def point_speeds(
-    command, cdof, centre, geom_position, geom_rotation, geom, moves, radius, local, out
-):
-    """Largest speed of any point of each link: |v| at a corner of its core plus |ω| times the radius about it.
-
-    Both are convex along the core, so its corners have the largest.
+def passes(
+    command, position, last, last_change, ahead_low, ahead_high, lower, upper, speed, acceleration,
+    jerk, period, reaction, t_min, d_min, standoff, hold, slack_moving, slack_at_rest, clearance_most,
+    cap, dof, root, cdof, subtree_com, geom_position, geom_rotation, distance, normal, witness_i,
+    witness_j, pairs, side, geom, exact, first, local, order, sign, meeting, counted, other,
+    corner_geom, corner_moves, corner_radius, corner_local, screws, centre, near, own, rows, levers,
+    low, box, bounds, rest, needed, slack, clearance, short, lack, over,
+):  # fmt: skip
+    """Whether a command passes as it is, with all that the gate knows of it, from MuJoCo's arrays.
 
     Args:
-        command: (n,).
-        cdof, centre, geom_position, geom_rotation: As in `end_rows`.
-        geom: (C,) of each corner.
-        moves: (C, n) whether a joint moves it.
-        radius: (C,) of the round hull about the core.
-        local: (C, 3) in its geom's frame: a capsule's axis ends, a box's corners.
-        out: (C,) out, m/s.
+        command, ahead_low, ahead_high, acceleration, reaction: As in `stop_travel`.
+        position: (n,) measured.
+        last, last_change, lower, upper, speed, jerk, period: As in `gate_box.next_commands`.
+        t_min, d_min, standoff, hold, slack_moving, slack_at_rest, clearance_most: As in `demands`.
+        cap: On the speed of points, m/s; infinite for none.
+        dof, root: (n,) joints of the arm, and the root bodies of their tree.
+        cdof, subtree_com, geom_position, geom_rotation: MuJoCo's.
+        distance, normal, witness_i, witness_j, pairs, side, geom, exact, first, local, order, sign: As in `end_rows`.
+        meeting: (P,) which pairs are to meet.
+        counted: (P,) whether the others' part of a pair's rate counts.
+        other: (W,) that part, of all watched pairs.
+        corner_geom, corner_moves, corner_radius, corner_local: As in `point_speeds`.
+        screws, centre: (n, 6), (n, 3) out: of the arm's joints.
+        near, own, rows, levers, low: Out, as in `end_rows`.
+        box, bounds: Out, as in `gate_box.next_commands`.
+        rest: (P,) out: the others' part as counted.
+        needed, slack, clearance: Out, as in `demands`.
+        short, lack: Out, as in `look`.
+        over: (C,) out, as in `point_speeds`.
     """
-    for c in range(len(radius)):
-        x, y, z = world(geom_position, geom_rotation, geom[c], local, c)
-        vx, vy, vz, wx, wy, wz = point_velocity(command, cdof, centre, moves, c, x, y, z)
-        turning = math.sqrt(wx * wx + wy * wy + wz * wz)
-        out[c] = math.sqrt(vx * vx + vy * vy + vz * vz) + turning * radius[c]
-
-
-@law
-def speed_gradient(
-    c, command, cdof, centre, geom_position, geom_rotation, geom, moves, radius, local, gradient
-):
-    """Gradient (n,) of one of `point_speeds` in the command; zero where the link stands.
-
-    Args:
-        c: Which corner; the rest as in `point_speeds`.
-        gradient: (n,) out.
-    """
-    gradient[:] = 0.0
-    x, y, z = world(geom_position, geom_rotation, geom[c], local, c)
-    vx, vy, vz, wx, wy, wz = point_velocity(command, cdof, centre, moves, c, x, y, z)
-    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    turning = math.sqrt(wx * wx + wy * wy + wz * wz)
-    for k in range(len(command)):
-        if not moves[c, k]:
-            continue
-        ax, ay, az = point_row(cdof, centre, k, 1.0, x, y, z)
-        if speed > 0.0:
-            gradient[k] += (vx * ax + vy * ay + vz * az) / speed
-        if turning > 0.0:
-            turn = wx * cdof[k, 0] + wy * cdof[k, 1] + wz * cdof[k, 2]
-            gradient[k] += radius[c] * turn / turning
+    for k in range(len(dof)):
+        screws[k], centre[k] = cdof[dof[k]], subtree_com[root[k]]
+    end_rows(
+        screws, centre, geom_position, geom_rotation, distance, normal, witness_i, witness_j, pairs,
+        side, geom, exact, first, local, order, sign, near, own, rows, levers, low,
+    )  # fmt: skip
+    for p in range(len(pairs)):
+        rest[p] = other[pairs[p]] if counted[p] else 0.0
+    next_commands(
+        position + ahead_low, position + ahead_high, last, last_change, lower, upper, speed,
+        acceleration, jerk, period, box, bounds,
+    )  # fmt: skip
+    demands(
+        near, meeting, rest, first, low, t_min, d_min, standoff, hold, slack_moving, slack_at_rest,
+        clearance_most, needed, slack, clearance,
+    )  # fmt: skip
+    kept = True
+    for k in range(len(dof)):
+        kept = kept and box[0, k] - SAME_RAD_S <= command[k] <= box[1, k] + SAME_RAD_S
+    if not kept:
+        return False
+    if cap < math.inf:
+        point_speeds(
+            command, screws, centre, geom_position, geom_rotation, corner_geom, corner_moves,
+            corner_radius, corner_local, over,
+        )  # fmt: skip
+        for c in range(len(over)):
+            kept = kept and over[c] <= cap
+    return kept and look(
+        command, ahead_low, ahead_high, acceleration, reaction, own, first, order, rows, levers, low,
+        needed, slack, clearance, short, lack,
+    )  # fmt: skip
