@@ -56,7 +56,7 @@ def test_a_sabotaged_strategy_touches_nothing(tmp_path, monkeypatch, kind):
     assert verdict.capsules_m is not None
     assert verdict.capsules_m > 0.0
     metrics = runner.summarise(cell, trace, ending)["metrics"]
-    if kind != "reversed":  # which leads away from everything
+    if kind in ("times three", "random"):  # the others lead nowhere near anything
         assert metrics["gated_ticks"] == metrics["nurse.gated_ticks"] > 10
     assert metrics["surgeon.gated_ticks"] == 0
 
