@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from workcell.control.arm_constraints import ArmConstraints
 from workcell.control.arm_criterion import ArmCriterion
 from workcell.control.ik import ArmIk
+from workcell.control.reach import Reach
 from workcell.control.servo import ServoCommand
 from workcell.control.tick import ArmTick, Steering
 from workcell.motion.jobs import JobSequence
@@ -97,6 +98,12 @@ class ControlledArm:
                 seed=cell.scenario.simulation.seed,
                 name=addresses.name,
                 period_s=dt,
+            )
+        self.reach: Reach | None = None
+        """Looks after targets that an operator asks for beyond the arm's reach."""
+        if self.operator is not None:
+            self.reach = Reach(
+                cell.model, addresses, period_s=dt, gain_per_s=control.task_gain_per_s
             )
         base = cell.model.body_rootid[cell.model.site_bodyid[addresses.tool_site]]
         self.base_position_m = configuration.data.xpos[base].copy()

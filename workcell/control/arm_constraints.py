@@ -41,9 +41,9 @@ __all__ = [
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-HYPOTHESES = 3
-"""Velocity hypotheses of an arm, for others: what it was last commanded, what is asked of it, and what its
-joint limits let through of that."""
+HYPOTHESES = 2
+"""Velocity hypotheses of an arm, for others: what its joint limits let through of what is asked of it, and
+what it was last commanded."""
 
 
 class Rates(NamedTuple):
@@ -91,7 +91,7 @@ class Watched:
         self.inactive = np.zeros(pairs, dtype=bool)
         """(P,) pairs that do not count now: an instrument against the hand that holds it."""
         self.hypotheses_rad_s = np.zeros((HYPOTHESES, nv))
-        """(HYPOTHESES, nv) what each arm are predicted to do in this tick."""
+        """(HYPOTHESES, nv) what each arm is predicted to do in this tick."""
         self._owner = np.full(nv, -1, dtype=np.int64)
         for arm, own in enumerate(dofs):
             self._owner[own] = arm

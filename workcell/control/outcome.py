@@ -97,6 +97,7 @@ def _arm_row(tick: ArmTick) -> ArmRecord:
         tool_speed_m_s=sensed.tool_speed_m_s,
         tool_error_m=setpoint.tool_error_m,
         tool_error_rad=setpoint.tool_error_rad,
+        out_of_reach_m=setpoint.out_of_reach_m,
         elbow_position_m=sensed.elbow_position_m,
         artc_per_s=sensed.artc_per_s,
         armd_per_m=sensed.armd_per_m,

@@ -13,21 +13,22 @@ from workcell.control.tick import ArmSetpoint
 def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None:
     """Before any arm is steered.
 
-    A support arm is taken to go on as last commanded. A priority arm may do what its operator asks, go
-    on as last commanded, or do what its joint limits let through of what is asked: it may be kept from
-    doing at once what it is asked. Self-motion that helps others is not predicted.
+    A support arm is taken to go on as last commanded. A priority arm goes towards what its operator asks as far
+    as its joints can within this tick, or on as last commanded: it may be kept from doing at once what it is asked. What the
+    joints cannot do is never counted on, however fast a hand moves or how far beyond reach it is. Self-motion
+    that helps others is not predicted.
     """
     hypotheses, command = watched.hypotheses_rad_s, arm.memory.command_rad_s
     if arm.support:
         hypotheses[:, arm.columns] = command
         return
-    hypotheses[0, arm.columns], hypotheses[1, arm.columns] = setpoint.task_rad_s, command
     if setpoint.joints_rad_s is None:
-        hypotheses[2, arm.columns] = arm.ik.followed(
+        hypotheses[0, arm.columns] = arm.ik.followed(
             arm.configuration, command, setpoint.task_rad_s
         )
     else:
-        hypotheses[2, arm.columns] = setpoint.joints_rad_s
+        hypotheses[0, arm.columns] = setpoint.joints_rad_s
+    hypotheses[1, arm.columns] = command
 
 
 def settle(watched: Watched, arm: ControlledArm, command_rad_s: NDArray[np.float64]) -> None:

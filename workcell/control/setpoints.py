@@ -10,6 +10,7 @@ import numpy as np
 from workcell.control import pair_assignment
 from workcell.control.arm import ControlledArm
 from workcell.control.finite import require_finite
+from workcell.control.reach import OutOfReach, Reach
 from workcell.control.sensing import Sensing
 from workcell.control.tick import ArmSensed, ArmSetpoint, Sensed
 from workcell.errors import ControlFault
@@ -74,6 +75,11 @@ class Setpoints:
             joints_rad_s = setpoint.joints_rad_s
         task_rad_s = self._task(arm, target, doing, sensed)
         error_m, error_rad = arm.ik.tool_error
+        left_m = None
+        if joints_rad_s is None and arm.reach is not None:
+            beyond = self._beyond_reach(arm, arm.reach, target, task_rad_s)
+            if beyond is not None:
+                joints_rad_s, left_m = beyond
         if joints_rad_s is not None:
             task_rad_s = joints_rad_s
         return ArmSetpoint(
@@ -86,6 +92,7 @@ class Setpoints:
             operator_state=state,
             elbow_speed_m_s=elbow_m_s,
             joints_rad_s=joints_rad_s,
+            out_of_reach_m=left_m,
             waits=waits,
             began=began,
             replanned=replanned,
@@ -113,6 +120,20 @@ class Setpoints:
                     sensed.tick, value, f"the tool target of arm {arm.name} from {doing}"
                 )
             raise ControlFault(sensed.tick, str(error)) from error
+
+    def _beyond_reach(
+        self, arm: ControlledArm, reach: Reach, target: Target, task_rad_s: np.ndarray
+    ) -> OutOfReach | None:
+        """What to do with a target that cannot be reached; None for one that can."""
+        last, here = arm.memory.command_rad_s, arm.configuration
+        return reach.follow(
+            here,
+            target,
+            arm.task,
+            errors=arm.ik.tool_error,
+            box=arm.ik.box(here, last),
+            eased=bool((arm.ik.followed(here, last, task_rad_s) == task_rad_s).all()),
+        )
 
     def _advance(
         self,

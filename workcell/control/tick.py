@@ -84,6 +84,8 @@ class ArmSetpoint(NamedTuple):
     """Speed to the left that the operator asks of the elbow."""
     joints_rad_s: Array | None = None
     """(n,) joint velocities to be commanded as they are; None where the target is to be followed."""
+    out_of_reach_m: float | None = None
+    """How far the tool will stay from a target beyond reach; None where the target can be reached."""
     waits: bool = False
     """Whether the path stands still until the tool has come back to it."""
     began: bool = False

@@ -165,8 +165,9 @@ def arm_words(
     """What an arm does, and why, in one line."""
     row = record.arms[arm]
     if row.operator_state:
-        if out_of_reach:
-            return f"cannot reach farther: {100 * row.tool_error_m:.0f} cm short"
+        if out_of_reach or row.out_of_reach_m is not None:
+            short_m = row.tool_error_m if row.out_of_reach_m is None else row.out_of_reach_m
+            return f"cannot reach farther: {100 * short_m:.0f} cm short"
         return _INPUTS.get(row.operator_state, f"stands: the input is {_plain(row.operator_state)}")
     if halt:
         return "is stopped by the final check"
@@ -194,7 +195,8 @@ def _verb(cell: Cell, pair: int, arm: str) -> str:
 
 def _arm_colour(row: ArmRecord, out_of_reach: bool, halt: str) -> str:
     if row.operator_state:
-        return RED if out_of_reach else GREEN if row.operator_state == VALID else AMBER
+        beyond = out_of_reach or row.out_of_reach_m is not None
+        return RED if beyond else GREEN if row.operator_state == VALID else AMBER
     if halt:
         return RED
     if row.mode in ("yield", "halt") or abs(row.scale) < STANDING_SCALE:

@@ -271,6 +271,20 @@ class ArmIk:
         )
         return allowed
 
+    def box(
+        self, configuration: mink.Configuration, previous_rad_s: Array
+    ) -> tuple[Array, Array]:
+        """(n,) and (n,) smallest and largest velocity of the joints after a previous one (n,)."""
+        self.take(configuration)
+        self._before[...] = previous_rad_s
+        smallest, largest = np.empty(self.space.n), np.empty(self.space.n)
+        self._refuse(
+            joint_limits.joint_box(
+                self.qpos, *self.joints, self._before, self.dt_s, smallest, largest
+            )
+        )
+        return smallest, largest
+
     def evade(
         self,
         configuration: mink.Configuration,

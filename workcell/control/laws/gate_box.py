@@ -1,6 +1,7 @@
 """What a joint can follow, in whole periods: position, speed, acceleration and jerk as one interval of commands.
 
 largest_stopping_speed   how fast a joint may turn with so much room ahead of its end stop
+towards                  the way to a place, at a speed from which each joint still stops there
 next_commands            interval of commands each joint may be given next
 """
 
@@ -39,6 +40,24 @@ def largest_stopping_speed(room, deceleration, period, latency):
     whole = math.floor(math.sqrt((0.5 + tau) ** 2 + 2.0 * quanta) - (0.5 + tau))
     used = whole * (whole + 1.0) / 2.0 + whole * tau
     return step * (whole + min(1.0, max(0.0, (quanta - used) / (whole + 1.0 + tau))))
+
+
+@law
+def towards(way, gain, deceleration, period, smallest, largest, velocity):
+    """The next velocity of joints that go to a place and stop there.
+
+    Args:
+        way: (n,) what is left of the way.
+        gain: Rate at which it is made good near the end, 1/s.
+        deceleration: (n,) a > 0.
+        period: s.
+        smallest, largest: (n,) interval of the next command.
+        velocity: (n,) out.
+    """
+    for k in range(len(way)):
+        left = abs(way[k])
+        speed = min(gain * left, largest_stopping_speed(left, deceleration[k], period, 0.0))
+        velocity[k] = min(max(math.copysign(speed, way[k]), smallest[k]), largest[k])
 
 
 @law

@@ -23,6 +23,8 @@ from workcell.control.tick import Array, Steering
 
 LEAVING_FACTOR = 2.0
 """An arm that could go this many times faster before any pair limited it is leaving: its factor need not rise slowly."""
+OUT_OF_REACH = "out_of_reach"
+"""Reason of a priority arm whose target is beyond its reach: it goes to the nearest place there is."""
 SELF_MOTION_RAD_S = 0.01
 """Joint speed beyond the tool task's own from which the mode is called self_motion; chosen as what a person notices."""
 
@@ -164,7 +166,13 @@ class OperatorStrategy:
         """See `strategy.Strategy`."""
         given = view.setpoint.joints_rad_s
         if given is not None:
-            return Steering(velocity_rad_s=given, nominal_rad_s=given, ik_status="not_solved")
+            beyond = view.setpoint.out_of_reach_m is not None
+            return Steering(
+                velocity_rad_s=given,
+                nominal_rad_s=given,
+                reason=OUT_OF_REACH if beyond else "",
+                ik_status="not_solved",
+            )
         solution = view.solve(elbow.swing(view))
         velocity: Array = solution.velocity_rad_s
         beyond = np.abs(velocity - view.task_rad_s).max()
