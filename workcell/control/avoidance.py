@@ -37,6 +37,8 @@ class Avoidance(NamedTuple):
     """False where the solver failed and the arm brakes."""
     left_path: bool = True
     """Whether it is not along the nominal velocity."""
+    missed_pair: int | None = None
+    """While yielding, the pair that the joints cannot keep although nothing presses it; the worst one."""
 
 
 def keep(view: ArmView, nominal_rad_s: Array, factor: float, infeasible: bool) -> Avoidance:
@@ -78,10 +80,11 @@ def slide(view: ArmView, nominal_rad_s: Array) -> Avoidance:
 
 
 def give_way(view: ArmView, nominal_rad_s: Array) -> Avoidance:
-    """Yield: back along the path if that is enough, else so that the near pairs open.
+    """Yield: back along the path if that is enough, else so that the pressed pairs open.
 
-    Times count to d_min here, so that an arm that can move fast enough is never nearer. No pair
-    is brought below t_min to open another, unless the joint limits leave no other way.
+    Times count to d_min here, so that an arm that can move fast enough is never nearer. Pressed are pairs that
+    the arm answers for and that standing does not keep. All others come first: what stands, the arm itself, a third arm
+    may not be closed below t_min to open a pressed pair, and is missed only by what the joints cannot do at all.
     """
     settings, moved = view.settings, view.moved
     rows = view.rows(moved)
@@ -91,12 +94,17 @@ def give_way(view: ArmView, nominal_rad_s: Array) -> Avoidance:
     smallest_rates(
         view.distance_m[pairs], view.other_m_s[pairs], settings.t_min_s, settings.d_min_m, needed
     )
+    pressed = (needed > 0.0) & np.isin(pairs, view.owned)
+    needed = np.where(pressed, needed, np.minimum(needed, 0.0))
     back = backing_factor(rows @ nominal_rad_s, needed)
     factor = 0.0 if math.isnan(back) else back
-    velocity = view.evade(factor * nominal_rad_s, rows, needed)
+    velocity = view.evade(factor * nominal_rad_s, rows, needed, ~pressed)
     if velocity is None:
         return Avoidance(_braking(view), factor, True, False)
-    return Avoidance(velocity, factor, True)
+    missed = np.where(pressed, 0.0, needed - rows @ velocity)
+    worst = int(missed.argmax()) if len(missed) else -1
+    culprit = int(pairs[worst]) if worst >= 0 and missed[worst] > TASK_SLACK_M_S else None
+    return Avoidance(velocity, factor, True, missed_pair=culprit)
 
 
 def _leave_path(

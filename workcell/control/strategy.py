@@ -244,14 +244,20 @@ class ArmView:
         self._counted = True
         return found
 
-    def evade(self, preferred_rad_s: Array, rows: Array, needed_m_s: Array) -> Array | None:
+    def evade(
+        self,
+        preferred_rad_s: Array,
+        rows: Array,
+        needed_m_s: Array,
+        hard: NDArray[np.bool_] | None = None,
+    ) -> Array | None:
         """(n,) the velocity nearest to a preferred one (n,) that gives each row (K, n) its needed rate (K,).
 
-        Rows are missed, as little as possible, where the joint limits leave no other way. None if the
-        solver failed.
+        Rows are missed, as little as possible, where the joint limits leave no other way; those marked hard (K,)
+        never for the sake of the others. None if the solver failed.
         """
         return self._arm.ik.evade(
-            self._arm.configuration, self.command_rad_s, preferred_rad_s, rows, needed_m_s
+            self._arm.configuration, self.command_rad_s, preferred_rad_s, rows, needed_m_s, hard
         )
 
     def allowance(self, velocity_rad_s: Array) -> Allowance:

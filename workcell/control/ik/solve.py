@@ -38,6 +38,9 @@ joints more than 50 rad/s is let go, so that an arm at the end of its reach does
 DIRECTIONS = {"pose": 6, "axis": 5, "position": 3}
 """How many of the tool's six directions each task asks for: position first, the turn about the tool's own axis last."""
 
+LEAST_PULL = 1e-6
+"""Weight of standing still against missing a row, where rows alone are to decide."""
+
 OPTIMAL = "optimal"
 TASK_ONLY = "task_only"
 TASK_SOFT = "task_soft"
@@ -292,10 +295,12 @@ class ArmIk:
         preferred_rad_s: Array,
         rows: Array,
         smallest_rate_m_s: Array,
+        hard: NDArray[np.bool_] | None = None,
     ) -> Array | None:
         """The motion nearest to a preferred one that opens what must open, the tool's task aside.
 
-        The rows may be missed, as little as possible, where the joint limits leave no other way.
+        The rows may be missed, as little as possible, where the joint limits leave no other way. Hard rows come first:
+        they are missed only by what the joints cannot do at all, and never for the sake of the others.
 
         Args:
             configuration: The state.
@@ -303,6 +308,7 @@ class ArmIk:
             preferred_rad_s: (n,) velocity to stay near to.
             rows: (R, n) rows G of the pairs.
             smallest_rate_m_s: (R,) rate each should have at least.
+            hard: (R,) which rows come first; None where all are alike.
 
         Returns:
             (n,) joint velocity; None if the solver failed.
@@ -316,8 +322,40 @@ class ArmIk:
             raise FloatingPointError(
                 f"arm {self.arm.name}: the evasive motion was given a number that is not finite"
             )
-        velocity = solution(space.program(len(smallest_rate_m_s)))
+        pairs = len(smallest_rate_m_s)
+        velocity = None
+        if hard is not None and hard.any():
+            marks = space.sense[space.n : space.n + pairs]
+            marks[hard] = program.HARD
+            velocity = solution(space.program(pairs))
+            if velocity is None:
+                velocity = self._least_missed(preferred_rad_s, rows, smallest_rate_m_s, hard)
+        if velocity is None:
+            space.sense[space.n : space.n + pairs] = program.SOFT
+            velocity = solution(space.program(pairs))
         return None if velocity is None else self._settled(velocity)
+
+    def _least_missed(
+        self, preferred_rad_s: Array, rows: Array, smallest_rate_m_s: Array, hard: NDArray[np.bool_]
+    ) -> Array | None:
+        """The same where the joints cannot keep every hard row: these are missed least, then the others."""
+        space, pairs = self.space, len(smallest_rate_m_s)
+        marks = space.sense[space.n : space.n + pairs]
+        bounds = space.lower[space.n : space.n + pairs]
+        marks[...] = program.SOFT
+        bounds[~hard] = -program.UNBOUNDED
+        # Alone, and pulled by nothing but the least miss: any preferred motion would be paid for with more of it.
+        space.c[...] = 0.0
+        space.H[...] = LEAST_PULL * np.eye(space.n)
+        least = solution(space.program(pairs))
+        space.c[...], space.H[...] = np.negative(preferred_rad_s), np.eye(space.n)
+        bounds[...] = smallest_rate_m_s
+        if least is None:
+            return None
+        within = rows[hard] @ least - 10.0 * SOLVER_TOLERANCE_RAD_S
+        bounds[hard] = np.minimum(smallest_rate_m_s[hard], within)
+        marks[hard] = program.HARD
+        return solution(space.program(pairs))
 
     def _boxed(
         self,

@@ -109,6 +109,7 @@ class TtcStrategy:
             scale=found.factor,
             reason="other_arm",
             mode="yield",
+            limiting_pair=answer.limiting_pair if found.missed_pair is None else found.missed_pair,
             ik_status=answer.ik_status if found.solved else "stopped",
         )
 
