@@ -58,7 +58,8 @@ class ArmOracle:
     def counted(self) -> tuple[np.ndarray, np.ndarray]:
         counted = self.watched.distance_m[self.owned]
         reached = (counted <= self.settings.d_min_m) & ~self.constraints.meeting
-        return np.where(reached, np.minimum(counted, 0.0), counted), reached
+        counted = np.where(reached, np.minimum(counted, 0.0), counted)
+        return counted + self.constraints.meeting * self.settings.standoff_m, reached
 
     def bound(self, own, other) -> tuple:
         """What `pairwise_factor` says, the settings' rule followed."""

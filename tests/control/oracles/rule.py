@@ -133,8 +133,11 @@ def joint_box(q, arm, previous, dt_s) -> tuple[np.ndarray, np.ndarray]:
     a, fastest = arm.acceleration_limit_rad_s2, arm.velocity_limit_rad_s
 
     def towards(distance):
-        half_step = a * dt_s / 2
-        speed = np.sqrt(half_step**2 + 2.0 * a * np.maximum(distance, 0.0)) - half_step
+        # So many whole steps of a dt, and a part f of another: the way is dt² a (N (N + 1) / 2 + f (N + 1)).
+        quanta = np.minimum(np.maximum(distance, 0.0) / (a * dt_s**2), 1e15)
+        whole = np.floor(np.sqrt(0.25 + 2.0 * quanta) - 0.5)
+        part = (quanta - whole * (whole + 1.0) / 2.0) / (whole + 1.0)
+        speed = a * dt_s * (whole + np.clip(part, 0.0, 1.0))
         back = np.maximum(distance / dt_s, -fastest)
         return np.minimum(np.where(distance < 0.0, back, speed), fastest)
 

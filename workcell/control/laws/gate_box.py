@@ -35,6 +35,8 @@ def largest_stopping_speed(room, deceleration, period, latency):
     """
     if room <= 0.0:
         return 0.0
+    if room == math.inf:
+        return math.inf
     step = deceleration * period
     quanta, tau = room / (step * period), latency / period
     whole = math.floor(math.sqrt((0.5 + tau) ** 2 + 2.0 * quanta) - (0.5 + tau))

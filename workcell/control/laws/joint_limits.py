@@ -10,20 +10,18 @@ from __future__ import annotations
 import math
 
 from workcell.control.laws import law, part
+from workcell.control.laws.gate_box import largest_stopping_speed
 
 
 @part
 def braking_speed(distance, deceleration, fastest, period):
     """Largest speed towards an end stop at a distance from which braking still fits, in whole periods; rad/s.
 
-    v + a T/2 = sqrt((a T/2)^2 + 2 a D). Beyond the stop it is negative: the joint comes back within a period, or as
-    fast as it can.
+    Beyond the stop it is negative: the joint comes back within a period, or as fast as it can.
     """
     if distance < 0.0:
         return min(max(distance / period, -fastest), fastest)
-    half_step = deceleration * (period / 2)
-    speed = math.sqrt(half_step * half_step + 2.0 * deceleration * distance) - half_step
-    return min(speed, fastest)
+    return min(largest_stopping_speed(distance, deceleration, period, 0.0), fastest)
 
 
 @part

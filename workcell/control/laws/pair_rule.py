@@ -33,12 +33,14 @@ def allowance(distance, other, t_min, standoff):
 
 
 @part
-def counted_distance(distance, meeting, d_min):
+def counted_distance(distance, meeting, d_min, standoff):
     """The distance that the rule counts with, and whether it is at d_min.
 
-    From there on no way is left, but for what is meant to meet.
+    From there on no way is left, but for what is meant to meet, which knows no standoff either.
     """
-    reached = distance <= d_min and not meeting
+    if meeting:
+        return distance + standoff, False
+    reached = distance <= d_min
     return (min(distance, 0.0) if reached else distance), reached
 
 
@@ -151,7 +153,7 @@ def keeping(
         opening = 0.0
         for m in range(len(dof)):
             opening += jacobian[pair, dof[m]] * command[m]
-        counted, reached = counted_distance(distance[pair], meeting[k], d_min)
+        counted, reached = counted_distance(distance[pair], meeting[k], d_min, standoff)
         slack = AT_REST_M_S if reached else TASK_SLACK_M_S
         allowed[k] = allowance(counted, other[pair], t_min, standoff)
         needed[k] = min(-allowed[k], 0.0)

@@ -162,7 +162,7 @@ def arm_scale(
         rate = 0.0
         for m in range(len(dof)):
             rate += jacobian[pair, dof[m]] * nominal[m]
-        counted[k], reached = counted_distance(distance[pair], meeting[k], d_min)
+        counted[k], reached = counted_distance(distance[pair], meeting[k], d_min, standoff)
         own[k], rest[k] = _at_rest(rate, reached), _at_rest(other[pair], reached)
         bend[k] = accel[pair]
     found = _speed_scale(rule, counted, own, rest, bend, t_min, standoff, d_min, slow)
