@@ -129,9 +129,7 @@ class Reach:
                 | ((q >= arm.upper_rad) & (gradient > 0.0))
             )
             used = rows * free
-            step = used.T @ np.linalg.solve(
-                used @ used.T + damping * np.eye(len(error)), error
-            )
+            step = used.T @ np.linalg.solve(used @ used.T + damping * np.eye(len(error)), error)
             trial = np.clip(q + step, arm.lower_rad, arm.upper_rad)
             moved = float(np.abs(trial - q).max())
             if moved < FOUND_RAD or float(step @ gradient) < FOUND_SHARE * cost:
@@ -179,7 +177,5 @@ class Reach:
         assert self._nearest is not None
         way = self._nearest - configuration.q[arm.qpos]
         velocity = np.empty(len(way))
-        gate_box.towards(
-            way, self._gain_per_s, self._deceleration, self._period_s, *box, velocity
-        )
+        gate_box.towards(way, self._gain_per_s, self._deceleration, self._period_s, *box, velocity)
         return velocity

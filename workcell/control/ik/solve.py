@@ -274,9 +274,7 @@ class ArmIk:
         )
         return allowed
 
-    def box(
-        self, configuration: mink.Configuration, previous_rad_s: Array
-    ) -> tuple[Array, Array]:
+    def box(self, configuration: mink.Configuration, previous_rad_s: Array) -> tuple[Array, Array]:
         """(n,) and (n,) smallest and largest velocity of the joints after a previous one (n,)."""
         self.take(configuration)
         self._before[...] = previous_rad_s
