@@ -61,7 +61,8 @@ def test_the_moment_is_told_for_every_arm(ticked):
 
 def row(**more):
     usual = {"operator_state": "", "mode": "run", "attempt": "", "scale": 1.0, "job": "move"}
-    return SimpleNamespace(**(usual | {"limiting_pair": None, "tool_error_m": 0.1} | more))
+    usual |= {"limiting_pair": None, "tool_error_m": 0.1, "out_of_reach_m": None}
+    return SimpleNamespace(**(usual | more))
 
 
 @pytest.mark.parametrize(

@@ -41,9 +41,9 @@ __all__ = [
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-HYPOTHESES = 2
-"""Velocity hypotheses of an arm, for others: what its joint limits let through of what is asked of it, and
-what it was last commanded."""
+HYPOTHESES = 3
+"""Velocity hypotheses of an arm, for others: what each joint lets through of what is asked of it, what it was last
+commanded, and what its inverse kinematics makes of the task within its limits."""
 
 
 class Rates(NamedTuple):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
 from workcell.control.arm_constraints import Watched
+from workcell.control.criteria import NullspaceObjective
 from workcell.control.tick import ArmSetpoint
 
 
@@ -22,13 +23,19 @@ def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None
     if arm.support:
         hypotheses[:, arm.columns] = command
         return
-    if setpoint.joints_rad_s is None:
-        hypotheses[0, arm.columns] = arm.ik.followed(
-            arm.configuration, command, setpoint.task_rad_s
-        )
-    else:
-        hypotheses[0, arm.columns] = setpoint.joints_rad_s
     hypotheses[1, arm.columns] = command
+    if setpoint.joints_rad_s is not None:
+        hypotheses[0, arm.columns] = hypotheses[2, arm.columns] = setpoint.joints_rad_s
+        return
+    task = setpoint.task_rad_s
+    followed = arm.ik.followed(arm.configuration, command, task)
+    hypotheses[0, arm.columns] = hypotheses[2, arm.columns] = followed
+    if not np.array_equal(followed, task):
+        # Joint by joint is not how the arm itself will give way to its limits.
+        n = len(task)
+        nothing = NullspaceObjective(np.zeros((n, n)), np.zeros(n))
+        found = arm.ik.solve(arm.configuration, command, nothing, np.zeros((0, n)), np.zeros(0))
+        hypotheses[2, arm.columns] = found.velocity_rad_s
 
 
 def settle(watched: Watched, arm: ControlledArm, command_rad_s: NDArray[np.float64]) -> None:

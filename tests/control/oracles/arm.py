@@ -26,7 +26,7 @@ class ArmOracle:
 
     def other(self, *, static: bool) -> np.ndarray:
         """(P,) the least favourable rate that the others may cause."""
-        velocities = self.watched.hypotheses_rad_s[: 2 if self.constraints.support else 1].copy()
+        velocities = self.watched.hypotheses_rad_s[: 3 if self.constraints.support else 1].copy()
         velocities[:, self.dofs] = 0.0
         if static:
             return np.zeros(len(self.watched.distance_m))
