@@ -153,6 +153,38 @@ def test_it_does_not_give_way_into_something_else(tmp_path):
     assert towards > 20, "it must have been pushed towards the post to mean anything"
 
 
+def test_what_stands_is_not_closed_on_to_open_what_is_pressed(tmp_path):
+    """A carriage between one that comes and a box: it gives way as far as the box lets it, and no faster."""
+    content = sweep(duration_s=1.6)
+    content["arm"][1] |= {
+        "model": "slider",
+        "base_position_m": [-0.2, 0.52, -0.06],
+        "home_rad": [0.15],
+    }
+    content["obstacle"] = [
+        {
+            "name": "box",
+            "shape": "box",
+            "size_m": [0.03, 0.05, 0.05],
+            "position_m": [-0.22, 0.6, 0.3],
+        }
+    ]
+    cell, records = play(tmp_path, content)
+    boxed = [
+        k for k, names in enumerate(cell.pairs.names) if names == ("nurse/carriage_capsule", "box")
+    ]
+    assert boxed
+    dofs = next(arm.dofs for arm in cell.arms if arm.name == "nurse")
+    fled = 0
+    for before, after in pairwise(records):
+        for pair in boxed:
+            distance = before.pair_distance_m[pair]
+            rate = (after.pair_distance_m[pair] - distance) / cell.period_s
+            assert rate >= -distance / (0.99 * T_MIN_S)
+        fled += int(before.arms["nurse"].mode == "yield" and before.command_rad_s[dofs][0] < -0.02)
+    assert fled > 10, "it must have given way towards the box to mean anything"
+
+
 def test_nobody_gives_way_for_what_its_own_base_comes_near_to(tmp_path):
     """The surgeon sweeps by the nurse's base: the nurse can do nothing about it and works on."""
     content = sweep(jobs=(INTO_THE_WAY, WAIT), home=(1.5, 0.3, -0.2), yields=True, duration_s=1.5)
