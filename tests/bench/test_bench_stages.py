@@ -23,6 +23,7 @@ from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
 from workcell.control.laws import arithmetic
 from workcell.control.laws import criteria as laws
+from workcell.control.passage import Passage
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.control.setpoints import Setpoints
@@ -40,6 +41,7 @@ STAGES = (
     ("inverse kinematics: criterion, rows, program", ArmConstraints, "solve"),
     ("scaling: factor and joints' reach", ArmConstraints, "allow"),
     ("scaling: is the command kept", ArmConstraints, "keeps"),
+    ("gate", Passage, "let_through"),
     ("jobs and path", Setpoints, "_advance"),
     ("final check: hand-over", Controller, "_ask"),
     ("record of the tick", controller, "outcome"),
