@@ -13,6 +13,7 @@ from workcell.control import controller as module
 from workcell.control import pair_assignment
 from workcell.control.arm_constraints import ArmConstraints
 from workcell.control.controller import Controller
+from workcell.control.criteria import KINDS
 from workcell.control.proximity import PairGeometry
 from workcell.regression import reference as regression
 from workcell.regression import replay
@@ -76,9 +77,8 @@ def sign_flipped(monkeypatch, duet):
 def approaching_only(monkeypatch, duet):
     """The signed criterion swapped for the one that counts approaching pairs only."""
 
-    def solve(law, self, previous, task, qvel, settings, push=None):
-        asked = settings.model_copy(update={"criterion": "artc_approaching"})
-        return law(self, previous, task, qvel, asked, push)
+    def solve(law, self, previous, task, qvel, settings, kind, push=None):
+        return law(self, previous, task, qvel, settings, KINDS["artc_approaching"], push)
 
     changed(monkeypatch, "surroundings", lambda law, self, approaching: law(self, approaching=True))
     changed(monkeypatch, "solve", solve)
