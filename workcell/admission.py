@@ -50,7 +50,7 @@ def admit(scenario: Scenario, folder: Path) -> Admission:
     Raises:
         InputError: it cannot be run; every fault that could be found, each with its key.
     """
-    faults = expectations.unknown(scenario)
+    faults = expectations.faults(scenario)
     if faults:
         raise InputError(faults, file=scenario.file)
     with refused("the scene cannot be built", OSError, mujoco.FatalError, file=scenario.file):

@@ -196,15 +196,21 @@ def options(kind: Kind, name: str, given: Mapping[str, Any]) -> Any:
         return model(**given)
     except ValidationError as error:
         raise InputError(
-            [
-                f"{SINGULAR[kind]}.{name}.{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
-                for fault in error.errors()
-            ]
+            [f"{SINGULAR[kind]}.{name}.{_told(fault, model)}" for fault in error.errors()]
         ) from error
     except Exception as error:  # code of the plug-in's own, such as a validator
         raise InputError(
             f"{SINGULAR[kind]}.{name}: its options cannot be judged: {type(error).__name__}: {error}"
         ) from error
+
+
+def _told(fault: Any, model: Any) -> str:
+    """One validation error of a plug-in's options: key and what is allowed."""
+    key = ".".join(map(str, fault["loc"]))
+    if fault["type"] == "extra_forbidden" and len(fault["loc"]) == 1:
+        allowed = sorted(model.model_fields)
+        return f"{key}: unknown key {key!r}; allowed here: {', '.join(allowed) or 'none'}{did_you_mean(key, allowed)}"
+    return f"{key}: {fault['msg']}"
 
 
 def use_files(paths: Iterable[Path | str]) -> None:

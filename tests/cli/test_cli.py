@@ -48,6 +48,14 @@ def test_check_says_that_a_scenario_can_be_run(capsys):
         (("check", "handover", "--set", "control.t_min=1"), ("control.t_min", "t_min_s")),
         (("run", "handover", "--set", "control.t_min_s=nan"), ("control.t_min_s", "finite")),
         (("check", "handover", "--set", "control.t_min_s=0.01"), ("too small", "nurse")),
+        (
+            ("check", "handover", "--set", "vary={'control.t_mn_s'={min=0.5,max=1.0}}"),
+            ('vary."control.t_mn_s"', "no key 't_mn_s' here"),
+        ),
+        (
+            ("check", "handover", "--set", "vary={'control.t_min_s'={min=-1.0,max=1.0}}"),
+            ("control.t_min_s", "-1"),
+        ),
         (("plot", "no/such/run"), ("no/such/run",)),
     ],
 )

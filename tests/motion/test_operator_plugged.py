@@ -107,7 +107,10 @@ def test_unknown_names_and_options_are_refused_with_the_known_ones(tmp_path):
         InputError, match=r"unknown operator 'cirle'; known here: circle; did you mean 'circle'\?"
     ):
         scenario_of(tmp_path, name="cirle")
-    with pytest.raises(InputError, match=r"operator\.circle\.radius: Extra inputs"):
+    with pytest.raises(
+        InputError,
+        match=r"operator\.circle\.radius: unknown key 'radius'; allowed here: fault, radius_m; did you mean 'radius_m'",
+    ):
         scenario_of(tmp_path, options={"radius": 1})
     with pytest.raises(InputError, match=r"operator\.circle\.radius_m: Input should be less than"):
         scenario_of(tmp_path, options={"radius_m": 3.0})

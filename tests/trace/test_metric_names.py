@@ -10,6 +10,7 @@ import pytest
 from tests import cells
 from workcell import assets, scenario
 from workcell import run as runner
+from workcell.errors import InputError
 from workcell.trace import expectations
 from workcell.trace.metric_names import is_metric, names
 
@@ -32,7 +33,7 @@ def test_every_metric_of_a_run_is_listed(tmp_path):
 
 @pytest.mark.parametrize("name", assets.scenario_names())
 def test_shipped_scenarios_expect_metrics_that_exist(name):
-    assert expectations.unknown(scenario.load(name)) == []
+    assert expectations.faults(scenario.load(name)) == []
 
 
 def test_names_of_a_cell_are_metrics_of_it():
@@ -47,6 +48,29 @@ def test_a_name_that_is_no_metric_is_answered_with_the_nearest(tmp_path):
     loaded = cells.load(
         tmp_path, cells.duet(), "expect.smalest_ttc_s={min=1.0}", "expect.completed=true"
     )
-    (fault,) = expectations.unknown(loaded)
+    (fault,) = expectations.faults(loaded)
     assert fault.startswith("expect.smalest_ttc_s: is not a metric of this cell")
     assert "did you mean 'smallest_ttc_s'?" in fault
+
+
+@pytest.mark.parametrize(
+    ("bound", "words"),
+    [
+        ("contact='no'", "expect.contact: is true or false, not {'equals': 'no'}"),
+        ("contact={max=1.0}", "expect.contact: is true or false"),
+        ("smallest_ttc_s='big'", "expect.smallest_ttc_s: is a number; allowed are min, max"),
+        ("smallest_ttc_s=true", "expect.smallest_ttc_s: is a number"),
+        ("stopped_by_check=false", "expect.stopped_by_check: is a text"),
+        ("smallest_ttc_s={min=1.0,max=0.0}", None),
+        ("mode_changes=3", ""),
+        ("stopped_by_check='none'", ""),
+        ("contact=false", ""),
+    ],
+)
+def test_a_value_that_the_metric_cannot_have_is_refused(tmp_path, bound, words):
+    if words is None:
+        with pytest.raises(InputError, match="min = 1 is above max = 0"):
+            cells.load(tmp_path, cells.duet(), f"expect.{bound}")
+        return
+    found = expectations.faults(cells.load(tmp_path, cells.duet(), f"expect.{bound}"))
+    assert [fault[: len(words)] for fault in found] == ([words] if words else [])

@@ -30,8 +30,10 @@ def check(scenario: ScenarioName, /, set: Overrides = ()) -> int:
     from workcell.admission import admit
     from workcell.guard.check_setup import left_out
     from workcell.guard.sizing import late_stops
+    from workcell.study.vary import Variations
 
     loaded = scenario_file.load(scenario, set)
+    Variations(loaded)  # refuses keys that are not there, and ends of ranges that are not allowed
     with tempfile.TemporaryDirectory() as folder:
         admitted = admit(loaded, Path(folder))
     cell, checker = admitted.cell, admitted.checker

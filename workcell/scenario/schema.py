@@ -204,6 +204,8 @@ class Bound(Table):
     def _says_something(self) -> Bound:
         if self.min is None and self.max is None and self.equals is None:
             raise ValueError("a bound needs min, max or equals")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise ValueError(f"min = {self.min:g} is above max = {self.max:g}")
         return self
 
 

@@ -21,6 +21,8 @@ class MetricName:
     """"1" for a pure number or a count, "" for a text or a verdict."""
     meaning: str
     """One line for people."""
+    verdict: bool = False
+    """Whether it is true or false."""
 
     def is_that_of(self, name: str) -> bool:
         """Whether a name in a summary is this metric."""
@@ -31,14 +33,14 @@ CELL_METRICS = (
     MetricName("ticks", "1", "control ticks that were done"),
     MetricName("duration_s", "s", "simulated time that they took"),
     MetricName("fault", "", "what ended the run before its time; none where nothing did"),
-    MetricName("interrupted", "", "whether a person stopped the run"),
+    MetricName("interrupted", "", "whether a person stopped the run", True),
     MetricName("stopped_by_check", "", "none, off, or the state in which the final check stopped the arms"),
-    MetricName("completed", "", "whether every arm that has jobs ended with all of them done; none where no arm has any"),
+    MetricName("completed", "", "whether every arm that has jobs ended with all of them done; none where no arm has any", True),
     MetricName("final_mode", "", "the mode of the last tick"),
     MetricName("mode_changes", "1", "changes of the cell's mode"),
     MetricName("mode_changes_per_s", "1/s", "the same a second of the run"),
     MetricName("mode_*_ticks", "1", "ticks in a mode, for every mode that occurred"),
-    MetricName("contact", "", "whether any watched pair, or any piece of the final check, touched"),
+    MetricName("contact", "", "whether any watched pair, or any piece of the final check, touched", True),
     MetricName("contact_cause", "", "whose motion closed the first contact: support, priority, both or none; none without a contact"),
     MetricName("contacts_by_support", "1", "contacts in whose closing a support arm had a part"),
     MetricName("smallest_distance_m", "m", "smallest distance of a watched pair"),
@@ -90,12 +92,18 @@ ARM_METRICS = (
 """Metrics of each arm, `<arm>.<name>` in the summary."""
 
 
+def metric(name: str, arms: Sequence[str]) -> MetricName | None:
+    """The metric of this name, if a summary of a cell with these arms can hold one."""
+    arm, dot, rest = name.partition(".")
+    if dot and arm not in arms:
+        return None
+    wanted, among = (rest, ARM_METRICS) if dot else (name, CELL_METRICS)
+    return next((metric for metric in among if metric.is_that_of(wanted)), None)
+
+
 def is_metric(name: str, arms: Sequence[str]) -> bool:
     """Whether a summary of a cell with these arms can hold a metric of this name."""
-    arm, dot, rest = name.partition(".")
-    if dot:
-        return arm in arms and any(metric.is_that_of(rest) for metric in ARM_METRICS)
-    return any(metric.is_that_of(name) for metric in CELL_METRICS)
+    return metric(name, arms) is not None
 
 
 def names(arms: Sequence[str]) -> Iterator[str]:
