@@ -110,4 +110,7 @@ def test_check_finds_nothing_to_mend_on_a_shipped_arm(capsys):
     from workcell import assets
 
     assert main(["check", str(assets.model_file("planar3"))]) == 0
-    assert "an arm of a cell as it is" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "an arm of a cell as it is" in said
+    assert "joint_velocity_limit_rad_s, in force: " in said
+    assert "two such arms have 15 watched pairs between them" in said
