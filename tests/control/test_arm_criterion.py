@@ -142,6 +142,7 @@ def test_one_that_cannot_be_made_is_refused_before_the_run(tmp_path):
 )
 def test_one_that_cannot_be_used_ends_in_a_named_safe_state(fault, said, tmp_path, monkeypatch):
     monkeypatch.setattr(asking, "TIME_LIMIT_S", 0.2)
+    monkeypatch.setattr(asking, "WAIT_LIMIT_S", 0.4)
     use(tmp_path, textwrap.dedent(BAD).replace("FAULT", fault))
     summary = runner.run(duet(tmp_path, "arm.nurse.criterion=bad"), tmp_path / "out")
     assert not summary["held"]

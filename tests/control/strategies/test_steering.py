@@ -104,6 +104,7 @@ def test_a_strategy_that_cannot_be_used_ends_in_a_named_safe_state(
     fault, said, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(asking, "TIME_LIMIT_S", 0.2)
+    monkeypatch.setattr(asking, "WAIT_LIMIT_S", 0.4)
     file = tmp_path / "bad.py"
     file.write_text(textwrap.dedent(BAD).format(fault=fault), encoding="utf-8")
     plugins.use_files([file])
@@ -122,11 +123,12 @@ def test_a_strategy_that_cannot_be_used_ends_in_a_named_safe_state(
 def test_what_is_compiled_meanwhile_is_not_taken_for_a_strategy_that_hangs(monkeypatch):
     """In a fresh installation the first tick of a plug-in compiles laws for longer than a strategy may take."""
     monkeypatch.setattr(asking, "TIME_LIMIT_S", 0.1)
+    monkeypatch.setattr(asking, "WAIT_LIMIT_S", 0.3)
     answered = Steering(np.zeros(3), np.zeros(3))
 
     def compiles() -> Steering:
         with event.trigger_event("numba:compile", data={"dispatcher": None}):
-            time.sleep(0.35)
+            time.sleep(0.7)
         return answered
 
     def compiles_and_hangs() -> Steering:
@@ -136,9 +138,29 @@ def test_what_is_compiled_meanwhile_is_not_taken_for_a_strategy_that_hangs(monke
 
     assert asking.ask("mine", "nurse", compiles, n=3, pairs=1, timed=True) is answered
     began = time.monotonic()
-    with pytest.raises(asking.StrategyFault, match=r"no answer within 0\.1 s"):
+    with pytest.raises(asking.StrategyFault, match=r"no answer within 0\.3 s"):
         asking.ask("mine", "nurse", compiles_and_hangs, n=3, pairs=1, timed=True)
     assert time.monotonic() - began < 5.0
+
+
+def test_one_that_a_busy_machine_keeps_waiting_loses_nothing_and_one_that_computes_for_ever_does(
+    monkeypatch,
+):
+    """Only plug-ins are timed: by the wall's clock alone they would lose races that built-in ones win."""
+    monkeypatch.setattr(asking, "TIME_LIMIT_S", 0.1)
+    answered = Steering(np.zeros(3), np.zeros(3))
+
+    def kept_waiting() -> Steering:
+        time.sleep(0.5)
+        return answered
+
+    def computes() -> Steering:
+        while True:
+            pass
+
+    assert asking.ask("mine", "nurse", kept_waiting, n=3, pairs=1, timed=True) is answered
+    with pytest.raises(asking.StrategyFault, match=r"no answer within 0\.1 s of processor time"):
+        asking.ask("mine", "nurse", computes, n=3, pairs=1, timed=True)
 
 
 def test_a_scenario_file_cannot_make_code_run(tmp_path):
