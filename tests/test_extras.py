@@ -50,3 +50,9 @@ def test_the_distribution_has_one_name_and_the_package_one_version():
         for line in file.read_text(encoding="utf-8").splitlines():
             if "pip install" in line:
                 assert not re.search(r"install\s+'?workcell\b", line), f"{file}: {line}"
+
+
+def test_the_page_about_installing_lists_every_extra():
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(\w+)` \|", page, flags=re.M)) == set(EXTRAS)
+    assert f"ttc_workcell-{workcell.__version__}-" in page
