@@ -131,6 +131,26 @@ def test_a_twist_moves_the_tool(tmp_path):
         assert np.abs(way[[0, 2]]).max() < 0.002
 
 
+@pytest.mark.parametrize(("arm", "gate"), [("nurse", True), ("surgeon", True), ("surgeon", False)])
+def test_commands_pass_the_gate_whatever_the_arms_role(tmp_path, arm, gate):
+    """An arm is stretched out to where the other's tool is: behind the gate it stops before, without it they meet."""
+    # Without the gate the final check must be on; it stops support arms alone.
+    switch = OFF if gate else ("control.gate=false",)
+    content = cells.duet()
+    content["arm"][0]["base_position_m"] = [0.3, 0.0, 0.0]
+    what = cells.load(tmp_path, content, "simulation.duration_s=2.4", *switch)
+    other, goal_rad = ("surgeon", [0.6, 0, 0]) if arm == "nurse" else ("nurse", [2.27, 0, 0])
+    with Session(what) as session:
+        dofs = next(each.dofs for each in session.cell.arms if each.name == arm)
+        nearest_m = np.inf
+        while not session.done:
+            wanted = np.clip(3.0 * (goal_rad - session.state.qpos[dofs]), -1.5, 1.5)
+            record = session.step({arm: wanted, other: [0.0, 0.0, 0.0]})
+            nearest_m = min(nearest_m, record.pair_distance_m.min())
+    assert (nearest_m > 0.0) == gate
+    assert nearest_m < 0.15, "it was on its way"
+
+
 class Circles:
     """An operator of one's own."""
 

@@ -133,7 +133,7 @@ class Session:
 
         Args:
             commands: What arms do in this tick in the place of their jobs or operators, by name: joint velocities
-                (n,), 1/s times rad or m, or a tool's `Twist`. The final check has the last word.
+                (n,), 1/s times rad or m, or a tool's `Twist`. They pass the gate. The final check has the last word.
 
         Returns:
             The row of the trace: `record.pair_distance_m`, `record.arms["nurse"].tool_position_m`, ... (docs/trace.md).

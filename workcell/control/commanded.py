@@ -1,7 +1,8 @@
 """Commands from outside: what a learner, a script or a person asks of an arm in the place of its strategy.
 
 In: joint velocities or a tool twist, for one tick. Out: a `Steering` like a strategy's, within the joints' limits.
-Everything behind it stays as it is: the final check's stop comes first, and what is asked goes where every command goes.
+Everything behind it stays as it is: the final check's stop comes first, and the gate looks at what is asked, of a priority
+arm, too.
 The path of a support arm stands still meanwhile.
 """
 
