@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from workcell.errors import InputError
-from workcell.study import race, report
+from workcell.study import race, report, sweep
 
 
 class InTurn(ThreadPoolExecutor):
@@ -51,3 +51,20 @@ def test_a_race_needs_two_strategies_that_exist(tmp_path):
         race.race(["planar_crossing"], ["ttc"], tmp_path, InTurn(1), runs=1, seed=0, ahead=1)
     with pytest.raises(InputError, match="unknown strategy 'no'"):
         race.race(["planar_crossing"], ["ttc", "no"], tmp_path, InTurn(1), runs=1, seed=0, ahead=1)
+
+
+def test_a_disturbed_race_is_disturbed_although_the_scenario_varies_noise_and_latency():
+    """What was drawn overwrote what was set: every row was that of the undisturbed race."""
+    drawn = [
+        sweep.plan("planar_crossing", runs=1, seed=3, overrides=(*race.SETTINGS, *more))
+        for more in ((), race.DISTURBED)
+    ]
+    (plain,), (disturbed,) = (list(plan.variations.values()) for plan in drawn)
+    values = disturbed.draw(3, 0)
+    simulation = disturbed.scenario(values).simulation
+    assert simulation.latency_ticks == 2
+    assert simulation.position_noise_rad == 0.001
+    assert simulation.velocity_noise_rad_s == 0.01
+    # All else is drawn as in the undisturbed race.
+    assert len(values) > 5
+    assert values.items() <= plain.draw(3, 0).items()

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import tyro
 from rich.markdown import Markdown
 
-from workcell import scenario as scenario_file
 from workcell.cli.options import Cluster, Overrides, ScenarioName, Workers
 from workcell.cli.terminal import FAILED, OK, narrow, progress_bar, stderr, stdout
 
@@ -84,10 +83,10 @@ def falsify(
 ) -> int:
     """Search the variations of a scenario for one that breaks the controller, and shrink what is found to a small scenario."""
     from workcell.study import falsify as study
-    from workcell.study.vary import Variations
+    from workcell.study.vary import load_variations
     from workcell.study.workers import pool
 
-    variations = Variations(scenario_file.load(scenario, set))
+    variations = load_variations(scenario, set)
     folder = out or Path("runs") / f"falsify_{Path(scenario).stem}_{target}"
     with pool(workers, cluster) as (executor, _), progress_bar("searching") as bar:
         case = study.falsify(

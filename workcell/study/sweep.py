@@ -28,7 +28,7 @@ from workcell.errors import InputError
 from workcell.run import versions
 from workcell.study import outcome, workers
 from workcell.study.outcome import Outcome, Report
-from workcell.study.vary import Variations
+from workcell.study.vary import Variations, load_variations
 
 PLAN_FILE = "sweep.json"
 JOURNAL_FILE = "runs.jsonl"
@@ -98,7 +98,7 @@ def plan(
         runs: Variations under each setting.
         seed: Of all draws.
         compare: `KEY=a,b,c`, each a key of the scenario and its settings; several give all combinations.
-        overrides: `KEY=VALUE` that hold for all settings.
+        overrides: `KEY=VALUE` that hold for all settings; a key of `[vary]` that is set here is not varied.
 
     Raises:
         InputError: naming the key of the scenario, of its `[vary]` or of `--compare` that is at fault.
@@ -110,7 +110,7 @@ def plan(
     variations = {}
     for choice in product(*(_settings(text) for text in compare)):
         label = " ".join(choice)
-        variations[label] = Variations(scenario_file.load(scenario, (*overrides, *choice)))
+        variations[label] = load_variations(scenario, overrides, choice)
         varied = {key.name for key in variations[label].keys}
         for key in sorted(varied & {item.partition("=")[0] for item in choice}):
             raise InputError(

@@ -24,6 +24,22 @@ from workcell.scenario import Scenario, Variation
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 
 
+def load_variations(
+    scenario: str, overrides: tuple[str, ...] = (), choice: tuple[str, ...] = ()
+) -> Variations:
+    """The variations of a scenario file, but for keys that are set by hand: what is set is not drawn.
+
+    Args:
+        scenario: Name or path.
+        overrides: `KEY=VALUE`; such a key of `[vary]` is taken out of it.
+        choice: Further `KEY=VALUE`, which leave `[vary]` as it is.
+    """
+    loaded = scenario_file.load(scenario, (*overrides, *choice))
+    fixed = {item.partition("=")[0].strip() for item in overrides}
+    drawn = {key: law for key, law in loaded.vary.items() if key not in fixed}
+    return Variations(loaded.model_copy(update={"vary": drawn}))
+
+
 class Variations:
     """The variations of one scenario.
 
