@@ -168,6 +168,7 @@ def run(tmp_path_factory) -> Run:
                     "tool_speed_m_s": float(speed),
                     "tool_error_m": 1e-4 * (arm == "nurse"),
                     "tool_error_rad": 2e-4 * (arm == "nurse"),
+                    "out_of_reach_m": None,
                     "elbow_position_m": data.body("nurse/link3").xpos if arm == "nurse" else None,
                     "artc_per_s": float(np.mean(-scale * rate / distance)),
                     "armd_per_m": float(np.mean(1 / distance)),
@@ -175,6 +176,8 @@ def run(tmp_path_factory) -> Run:
                     "scale": scale if arm == "nurse" else 1.0,
                     "limiting_pair": worst if scaled and not halted else None,
                     "reason": ("halt" if halted else "ttc") if scaled else "",
+                    "gate": "",
+                    "gate_pair": None,
                     "attempt": "",
                     "mode": mode if arm == "nurse" else "run",
                 }
