@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -285,6 +286,31 @@ def test_a_file_that_never_ends_is_refused_before_it_is_read(tmp_path):
     leg(tmp_path, tail='<include file="/dev/zero"/>')
     with pytest.raises(InputError, match="'/dev/zero', which is no file but a device"):
         cells.build(tmp_path, beside(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"world": "<replicate count='100000'><geom size='.1'/></replicate>"}, "asks for 100000"),
+        (
+            {
+                "world": "<replicate count='100'><replicate count='100'><geom size='.1'/></replicate></replicate>"
+            },
+            "<replicate count='100'> in line .* asks for 10000; allowed are 1,000",
+        ),
+        ({"tail": "<custom><numeric name='n' size='100000000'/></custom>"}, "<numeric size="),
+        (
+            {"assets": "<asset><hfield name='h' nrow='9999' ncol='9999' size='1 1 1 1'/></asset>"},
+            "hfield",
+        ),
+    ],
+)
+def test_a_line_that_asks_for_endless_work_is_refused_at_once(tmp_path, parts, words):
+    leg(tmp_path, **parts)
+    started = time.monotonic()
+    with pytest.raises(InputError, match=words):
+        cells.build(tmp_path, beside(tmp_path))
+    assert time.monotonic() - started < 5.0
 
 
 def test_a_tendon_that_does_nothing_by_itself_is_no_reason_to_refuse(tmp_path):
