@@ -3,7 +3,7 @@
     sensing      state -> belief: distances, G, rates             sensing.py
     check        what the final check says                        guard/
     setpoints    jobs and operators -> tool targets               setpoints.py
-    prediction   what each arm is predicted to do            prediction.py
+    prediction   what each arm is predicted to do                 prediction.py
     steering     support arms by priority, then priority arms     strategy.py, strategies/
     gate         every command passes here                        passage.py
     outcome      the row of the trace                             outcome.py
