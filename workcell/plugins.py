@@ -53,10 +53,10 @@ BUILT_IN: dict[Kind, dict[str, str]] = {
     },
     "criteria": {
         "artc": f"{_CRITERIA}:ARTC_SIGNED",
-        "artc_held": f"{_CRITERIA}:ARTC_HELD",
         "artc_approaching": f"{_CRITERIA}:ARTC_APPROACHING",
         "armd": f"{_CRITERIA}:ARMD",
         "none": f"{_CRITERIA}:NO_CRITERION",
+        "artc_held": f"{_CRITERIA}:ARTC_HELD",
     },
     "operators": {},
     "devices": {},

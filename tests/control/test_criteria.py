@@ -155,7 +155,7 @@ def test_no_pairs_and_no_criterion_ask_for_nothing():
 
 def test_unknown_criterion_and_bad_numbers_are_refused_by_name():
     with pytest.raises(
-        WorkcellError, match="'ttc'; must be one of artc, artc_held, artc_approaching, armd, none"
+        WorkcellError, match="'ttc'; must be one of artc, artc_approaching, armd, none, artc_held"
     ):
         criteria.objective("ttc", [1.0], [0.0], [[1.0]])
     with pytest.raises(WorkcellError, match=r"distance_m\[0\] is nan"):

@@ -93,7 +93,7 @@ def test_more_than_d_min_is_refused_unless_the_scenario_allows_it(tmp_path):
 
 def test_shipped_arms_are_covered(tmp_path):
     for name in assets.model_names():
-        home = {"pa10": 7, "planar3": 3, "slider": 1}[name] * [0.0]
+        home = {"pa10": 7, "planar3": 3, "planar8": 8, "slider": 1}[name] * [0.0]
         content = {
             "name": name,
             "arm": [{"name": "a", "model": name, "home_rad": home, "operator": {"kind": "hold"}}],
