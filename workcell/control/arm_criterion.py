@@ -46,7 +46,8 @@ class ArmCriterion:
         self._arm = arm
         self._own = next(each for each in scenario.arm if each.name == arm).criterion
         self._options: Mapping[str, Mapping[str, Any]] = scenario.criterion
-        self._made: dict[str, int | Function] = {}
+        self._made: dict[str, Any] = {}
+        """By name, the number of one of our own or the function of one from outside."""
         later = [change.criterion for change in scenario.change if change.criterion]
         for name in {self._own or scenario.control.criterion, *([] if self._own else later)}:
             self._make(name)
@@ -103,17 +104,16 @@ class ArmCriterion:
         return NullspaceObjective(hessian, linear)
 
     def _make(self, name: str) -> int | Function:
-        made = self._made.get(name)
-        if made is None:
+        if name not in self._made:
             given = self._options.get(name)
-            made = plugins.load("criteria", name)
-            if inspect.isclass(made):
-                made = plugins.make("criteria", name, lambda options: options, given)
-            elif not (callable(made) or plugins.is_built_in("criteria", name)):
+            found = plugins.load("criteria", name)
+            if inspect.isclass(found):
+                found = plugins.make("criteria", name, lambda options: options, given)
+            elif not (callable(found) or plugins.is_built_in("criteria", name)):
                 raise InputError(
-                    f"criterion {name!r}: is {type(made).__name__}; allowed is a function or a class"
+                    f"criterion {name!r}: is {type(found).__name__}; allowed is a function or a class"
                 )
             elif given:
                 plugins.options("criteria", name, given)  # refuses them
-            self._made[name] = made
-        return made
+            self._made[name] = found
+        return self._made[name]

@@ -112,7 +112,7 @@ class SelfPairs:
             mujoco.mj_kinematics(model, data)
             self.poses.append(data)
         self._start = start
-        self._known: dict[bytes, Near] = {}
+        self._known: dict[bytes, tuple[int, Distances, Distances]] = {}
 
     def always_overlap(self, first: Sequence[int], second: Sequence[int]) -> bool:
         """Whether pieces of two bodies overlap at home and in every random pose."""
@@ -144,8 +144,8 @@ class SelfPairs:
         key = self._signature(way, joints, first, second)
         if key not in self._known:  # Two arms of one file are looked at once.
             self._known[key] = self._over_grid(joints, first, second)
-        poses, *extremes = self._known[key]
-        nearest, farthest = (extreme.copy() for extreme in extremes)
+        poses, nearest, farthest = self._known[key]
+        nearest, farthest = nearest.copy(), farthest.copy()
         self._see(self.poses[0], first, second, nearest, farthest)  # Home is each arm's own.
         return Near(len(joints), poses, nearest, farthest, self._d_min_m)
 

@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -174,7 +175,9 @@ def _search(cell: Cell, index: int, room_m: float, what: str, evaluations: int) 
     generations = max(1, evaluations // _CANDIDATES - 1)
     population = _latin(bounds, first)
     with contextlib.suppress(_Fits):
-        found = differential_evolution(
+        # SciPy's stubs know neither an array as `init` nor `seed`.
+        search: Any = differential_evolution
+        found = search(
             cost, bounds, init=population, maxiter=generations, seed=0, polish=False, tol=0.0
         )
         # The last millimetres are found from the best place, by an optimiser that needs no slopes.

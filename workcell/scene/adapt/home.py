@@ -186,7 +186,7 @@ class _Room:
         """Heights of the lowest points of what stands still."""
         model, data = self._model, self._data
         mujoco.mj_kinematics(model, data)
-        standing = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
+        standing = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0).tolist()
         return [
             float(surface(model, data, g)[:, 2].min()) for g in standing if model.geom_group[g] != 4
         ]
