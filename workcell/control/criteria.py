@@ -35,6 +35,11 @@ class NullspaceObjective(NamedTuple):
     linear: Array
     """c (n,), the gradient at zero joint velocity."""
 
+    @classmethod
+    def nothing(cls, n: int) -> NullspaceObjective:
+        """What asks for nothing of n joints."""
+        return cls(np.zeros((n, n)), np.zeros(n))
+
 
 def artc_signed(distance_m: ArrayLike, rate_m_s: ArrayLike) -> float:
     """Signed ARTC (1/s): the mean of -rate/distance; opening pairs count negative. 0 if no pairs.

@@ -1,9 +1,9 @@
 """Can the scenario be carried out at all: are its poses within reach, its speeds within the joints?
 
 Judged before the first tick, with the arms' own kinematics: each scripted path is followed offline; `reaction`
-adds what delay asks of gains and of t_min. Speed is
-judged of waypoints that an operator follows, since nothing slows those down; jobs are slowed down
-where the joints cannot keep up, and what a simulated person draws is only known as it happens.
+adds what delay asks of gains and of t_min. Speed is judged of waypoints that an operator follows, since nothing
+slows those down; jobs are slowed down where the joints cannot keep up, and what a simulated person draws is only
+known as it happens.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from workcell import scenario
 from workcell.control import reaction
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import DIRECTIONS, ArmIk, ToolTask
+from workcell.control.reach import REACHED_M, REACHED_RAD
 from workcell.errors import InputError
 from workcell.motion.operators import faults as operator_faults
 from workcell.motion.operators import make_operator
@@ -27,9 +28,6 @@ from workcell.motion.path import PathGeometry, Target, path_through, standing
 from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
 
-REACHED_M = 2e-3
-REACHED_RAD = 1e-2
-"""A pose counts as reached within these; chosen far below what a watched capsule is loose by."""
 LAG_M = 0.02
 """A path's speed is one that can be followed while the tool stays this near: farther away the controller itself counts
 an arm as off its path (REJOIN_M)."""
@@ -245,7 +243,7 @@ def largest_lag(
     )
     task = next(arm.task for arm in cell.scenario.arm if arm.name == addresses.name)
     n = len(addresses.dofs)
-    nothing = NullspaceObjective(np.zeros((n, n)), np.zeros(n))
+    nothing = NullspaceObjective.nothing(n)
     no_rows = np.zeros((0, n)), np.zeros(0)
     # One leg back and one forth are all there is: further ones repeat them.
     once = operator.model_copy(update={"start_s": 0.0, "repeat": min(operator.repeat, 2)})

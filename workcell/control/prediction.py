@@ -33,7 +33,7 @@ def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None
     if not np.array_equal(followed, task):
         # Joint by joint is not how the arm itself will give way to its limits.
         n = len(task)
-        nothing = NullspaceObjective(np.zeros((n, n)), np.zeros(n))
+        nothing = NullspaceObjective.nothing(n)
         found = arm.ik.solve(arm.configuration, command, nothing, np.zeros((0, n)), np.zeros(0))
         hypotheses[2, arm.columns] = found.velocity_rad_s
 

@@ -26,7 +26,7 @@ from workcell.scene.addresses import ArmAddresses
 Array = NDArray[np.float64]
 
 REACHED_M, REACHED_RAD = 2e-3, 1e-2
-"""A target counts as reached within these, as for paths before a run (`feasible`)."""
+"""A target counts as reached within these; chosen far below what a watched capsule is loose by."""
 LEFT_SHARE = 0.5
 """And a target that was out of reach only within this share of them: a hand at the edge does not switch the arm to and fro."""
 STEPS = 4

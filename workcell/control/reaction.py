@@ -47,9 +47,8 @@ def smallest_t_min_s(cell: Cell, arm: str) -> float:
     joints brake the tool least, at home.
     """
     settings = cell.scenario
-    own = next(each for each in settings.arm if each.name == arm)
-    speeds = [job.speed_m_s for job in own.job if not isinstance(job, scenario.Wait)]
-    if not speeds:
+    fastest_m_s = _fastest_m_s(next(each for each in settings.arm if each.name == arm))
+    if fastest_m_s == 0.0:
         return 0.0
     others_move = any(
         other.operator is not None and not isinstance(other.operator, scenario.Hold)
@@ -60,7 +59,7 @@ def smallest_t_min_s(cell: Cell, arm: str) -> float:
     if math.isinf(deceleration):  # No joint moves the tool's point: there is nothing to brake.
         return 0.0
     return smallest_t_min(
-        reaction_s(settings), max(speeds), deceleration, other_keeps_coming=others_move
+        reaction_s(settings), fastest_m_s, deceleration, other_keeps_coming=others_move
     )
 
 
@@ -74,6 +73,13 @@ def braking_deceleration_m_s2(cell: Cell, addresses: ArmAddresses) -> float:
     joint_rates = np.linalg.pinv(jacobian, rcond=1e-3)
     with np.errstate(divide="ignore"):
         return float(np.min(addresses.acceleration_limit_rad_s2[:, None] / np.abs(joint_rates)))
+
+
+def _fastest_m_s(arm: scenario.Arm) -> float:
+    """Largest speed of an arm's jobs, m/s; 0 for one without jobs that move."""
+    return max(
+        (job.speed_m_s for job in arm.job if not isinstance(job, scenario.Wait)), default=0.0
+    )
 
 
 def _gain_faults(settings: scenario.Scenario) -> Iterator[str]:
@@ -101,6 +107,6 @@ def _t_min_faults(cell: Cell) -> Iterator[str]:
             if t_min_s < needed:
                 yield (
                     f"{key} = {t_min_s:g}: too small for arm {arm.name} to brake in from "
-                    f"{max(job.speed_m_s for job in arm.job if not isinstance(job, scenario.Wait)):g} m/s with a reaction time of "
+                    f"{_fastest_m_s(arm):g} m/s with a reaction time of "
                     f"{reaction_s(settings):.3g} s; allowed is {needed:.3f} s or more, or a lower speed_m_s"
                 )

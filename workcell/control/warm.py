@@ -62,4 +62,4 @@ def _rare_programs(cell: scene.Cell, belief: mink.Configuration) -> None:
     still, rows = np.zeros(n), (np.zeros((1, n)), np.zeros(1))
     ik.followed(belief, still, still)
     ik.evade(belief, still, still, *rows)
-    ik.solve(belief, still, NullspaceObjective(np.zeros((n, n)), still), *rows)
+    ik.solve(belief, still, NullspaceObjective.nothing(n), *rows)

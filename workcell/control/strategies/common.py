@@ -36,8 +36,7 @@ class Barrier(NamedTuple):
 
 def nominal(view: ArmView) -> IkSolution:
     """The tool's task within the joint limits, without a criterion."""
-    n = len(view.dofs)
-    return view.solve(NullspaceObjective(np.zeros((n, n)), np.zeros(n)))
+    return view.solve(NullspaceObjective.nothing(len(view.dofs)))
 
 
 def barrier(view: ArmView, *, others: bool, margin_m: float = 0.0) -> Barrier:
