@@ -16,7 +16,7 @@ SEEN = ("goal_m", "others_m", "others_m_s", "nearest_m", "soonest_per_s")
 
 def score(weights: np.ndarray, seed: int, episodes: int) -> float:
     """Mean return; the twist in the plane is linear in what is seen."""
-    env.physics.seed(seed)
+    env.physics.episodes.seed(seed)
     returns = np.zeros(episodes)
     for episode in range(episodes):
         step = env.reset()

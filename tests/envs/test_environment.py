@@ -101,7 +101,7 @@ def test_episodes_follow_the_seed(made):
     one, another = episode(first), episode(first)
     assert not np.array_equal(one, another), "every episode is another variation"
     np.testing.assert_array_equal(episode(second), one)
-    second.physics.seed(3)
+    second.physics.episodes.seed(3)
     np.testing.assert_array_equal(episode(second), one)
 
 

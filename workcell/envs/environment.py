@@ -9,6 +9,7 @@ from dm_control.rl import control
 from workcell.envs.physics import SessionPhysics
 from workcell.envs.settings import EnvSettings
 from workcell.envs.task import ReachTask
+from workcell.scenario import Scenario
 
 
 class WorkcellEnvironment(control.Environment):
@@ -16,7 +17,7 @@ class WorkcellEnvironment(control.Environment):
 
     def close(self) -> None:
         """End the run under way; the environment cannot be used after it."""
-        self.physics.close()
+        self.physics.episodes.close()
 
 
 def make(task: type[ReachTask] = ReachTask, **settings: Any) -> WorkcellEnvironment:
@@ -30,11 +31,16 @@ def make(task: type[ReachTask] = ReachTask, **settings: Any) -> WorkcellEnvironm
         InputError: A setting makes no sense, or the scenario cannot be run.
     """
     chosen = EnvSettings(**settings)
-    physics = SessionPhysics(chosen)
-    limit_s = chosen.time_limit_s or physics.session.scenario.simulation.duration_s
+    physics = SessionPhysics.of(chosen)
     return WorkcellEnvironment(
         physics,
         task(chosen),
-        time_limit=min(limit_s, physics.session.scenario.simulation.duration_s),
+        time_limit=time_limit_s(chosen, physics.session.scenario),
         control_timestep=chosen.step_s,
     )
+
+
+def time_limit_s(settings: EnvSettings, scenario: Scenario) -> float:
+    """Length of an episode: what is asked for, at most the scenario's duration."""
+    longest_s = scenario.simulation.duration_s
+    return min(settings.time_limit_s or longest_s, longest_s)

@@ -7,14 +7,17 @@ Actions are in [-1, 1], shares of the largest speeds; observations are one vecto
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from dm_control.rl import control
+from dm_env import specs
 from numpy.typing import NDArray
 
 from workcell import assets
 from workcell.envs.environment import make
+from workcell.envs.physics import SessionPhysics
 from workcell.extras import need
 
 gymnasium = need("gymnasium", extra="environments", what="workcell.envs.gym")
@@ -38,9 +41,8 @@ class WorkcellEnv(gymnasium.Env):
         """The same as a dm_env environment."""
         action = self.environment.action_spec()
         self._most = np.array(action.maximum)
-        size = sum(spec.shape[0] for spec in self.environment.observation_spec().values())
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, action.shape, np.float32)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.action_space = shares(action)
+        self.observation_space = vector(self.environment.observation_spec())
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -48,8 +50,8 @@ class WorkcellEnv(gymnasium.Env):
         """Begin an episode; see Gymnasium."""
         super().reset(seed=seed)
         if seed is not None:
-            self.environment.physics.seed(seed)
-        return _flat(self.environment.reset().observation), self._info()
+            self.environment.physics.episodes.seed(seed)
+        return flat(self.environment.reset().observation), info(self.environment.physics)
 
     def step(
         self, action: NDArray[np.float32]
@@ -59,21 +61,37 @@ class WorkcellEnv(gymnasium.Env):
         found = self.environment.step(wanted)
         over = bool(found.last())
         terminated = over and found.discount == 0.0
-        return (
-            _flat(found.observation), float(found.reward), terminated, over and not terminated, self._info()
-        )  # fmt: skip
+        truncated, said = over and not terminated, info(self.environment.physics)
+        return flat(found.observation), float(found.reward), terminated, truncated, said
 
     def close(self) -> None:
         """End the run under way."""
         self.environment.close()
 
-    def _info(self) -> dict[str, Any]:
-        physics = self.environment.physics
-        return {
-            "time_s": physics.time(),
-            "nearest_m": physics.nearest_m(),
-            "reason": physics.own.reason,
-        }
+
+def shares(action: specs.BoundedArray) -> Any:
+    """The space of actions: shares of the largest speeds."""
+    return gymnasium.spaces.Box(-1.0, 1.0, action.shape, np.float32)
+
+
+def vector(observation: Mapping[str, specs.Array]) -> Any:
+    """The space of observations, one vector."""
+    size = sum(spec.shape[0] for spec in observation.values())
+    return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+
+
+def flat(observation: Any) -> NDArray[np.float64]:
+    """(size,) the observations behind each other."""
+    return control.flatten_observation(observation)[control.FLAT_OBSERVATION_KEY]
+
+
+def info(physics: SessionPhysics) -> dict[str, Any]:
+    """What a learner may log beside its observations."""
+    return {
+        "time_s": physics.time(),
+        "nearest_m": physics.nearest_m(),
+        "reason": physics.own.reason,
+    }
 
 
 def register() -> None:
@@ -84,11 +102,6 @@ def register() -> None:
             gymnasium.register(
                 identifier, entry_point="workcell.envs.gym:WorkcellEnv", kwargs={"scenario": name}
             )
-
-
-def _flat(observation: Any) -> NDArray[np.float64]:
-    """(size,) the observations behind each other."""
-    return control.flatten_observation(observation)[control.FLAT_OBSERVATION_KEY]
 
 
 register()
