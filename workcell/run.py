@@ -18,6 +18,7 @@ from pathlib import Path
 
 from workcell.admission import STOPPED_BY_CHECK, admit
 from workcell.errors import InputError, TraceError
+from workcell.files import read_object
 from workcell.guard.supervisor import LatchedCheck
 from workcell.judge import judge_trace
 from workcell.loop import SCENE_FOLDER, Ending, Loop, Watch
@@ -196,11 +197,11 @@ def read_summary(out: Path) -> dict | None:
         TraceError: it cannot be read.
     """
     path = out / SUMMARY_FILE
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        return read_object(path)
+    except (OSError, ValueError) as error:
         raise TraceError(f"{path}: is damaged: {error}") from error
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -15,8 +17,9 @@ from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.errors import InputError
 from workcell.study import report
+from workcell.study.folder import JOURNAL_FILE, PLAN_FILE, TABLE_FILE
 from workcell.study.outcome import AFTER_DONE_S, VOLATILE
-from workcell.study.sweep import JOURNAL_FILE, Plan, plan, sweep
+from workcell.study.sweep import Plan, plan, sweep
 from workcell.study.workers import LocalWorkers, WorkerDied
 from workcell.trace.table import load
 
@@ -117,6 +120,40 @@ def test_what_is_done_is_kept_when_stopped_and_resume_makes_the_rest(tmp_path: P
     more = Staged(lambda *_: {})
     assert sweep(plan(scenario(tmp_path), runs=9, seed=1), out, more, ahead=1, resume=True)
     assert more.made == [(8, "")]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        (PLAN_FILE, "{", "holds no sweep"),
+        (PLAN_FILE, "[]", "allowed is a JSON object"),
+        (PLAN_FILE, "{}", "scenario, set, compare"),
+        (JOURNAL_FILE, '{"run": 0}\n', "line 1 is damaged"),
+        (JOURNAL_FILE, "\x00\n", "line 1 is damaged"),
+        (JOURNAL_FILE, None, "the journal of the sweep cannot be read"),
+    ],
+)
+def test_a_damaged_folder_is_refused_by_file_and_line(tmp_path, name, content, word):
+    what, out = plan(scenario(tmp_path), runs=1, seed=1), tmp_path / "out"
+    sweep(what, out, Staged(lambda *_: {}), ahead=1)
+    (out / name).unlink()
+    if content is not None:
+        (out / name).write_text(content)
+    with pytest.raises(InputError, match=re.escape(word)) as refusal:
+        sweep(what, out, Staged(lambda *_: {}), ahead=1, resume=True)
+    assert name in str(refusal.value)
+
+
+def test_a_damaged_table_is_refused_by_name(tmp_path):
+    path = tmp_path / TABLE_FILE
+    with pytest.raises(InputError, match="cannot be read"):
+        report.read(tmp_path)
+    path.write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="cannot be read"):
+        report.read(tmp_path)
+    pq.write_table(pa.table({"run": [1]}), path)
+    with pytest.raises(InputError, match="setting, status"):
+        report.read(tmp_path)
 
 
 def test_dead_workers_and_defects_cost_their_runs_and_are_made_again(tmp_path: Path):

@@ -25,7 +25,7 @@ def report(
 ) -> int:
     """Write one HTML file about a run or a sweep that opens without a network: verdicts, curves to zoom, pictures, events, versions."""
     from workcell import run as runner
-    from workcell.study.sweep import TABLE_FILE
+    from workcell.study.folder import TABLE_FILE
     from workcell.trace.table import load
 
     target = out or folder / runner.REPORT_FILE

@@ -15,6 +15,7 @@ from pathlib import Path
 import mujoco
 
 from workcell.errors import InputError
+from workcell.files import require_files
 
 HOUSING_GROUP = 2
 CAPSULE_GROUP = 4
@@ -72,8 +73,9 @@ def load_scene(scene_xml: Path) -> mujoco.MjModel:
     if not scene_xml.is_file():
         raise InputError("there is no such scene file", file=scene_xml)
     try:
+        require_files(scene_xml.parent)
         return mujoco.MjModel.from_xml_path(str(scene_xml))
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"the scene does not compile: {error}", file=scene_xml) from error
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.errors import TraceError
+from workcell.files import require_files
 from workcell.judge.approach import SHORT_SHARE, ApproachWatch, Smallest
 from workcell.judge.contact import Contact, ContactWatch
 from workcell.judge.kinematics import STRETCH, stretch
@@ -148,7 +149,12 @@ def judge_run(folder: Path, *, cap_m_s: float | None = None) -> Verdict:
     scene_xml = Path(folder) / SCENE_FILE
     if not scene_xml.is_file():
         raise TraceError(f"{folder}: holds no {SCENE_FILE}, without which nothing can be judged")
-    return judge_trace(trace, mujoco.MjModel.from_xml_path(str(scene_xml)), cap_m_s=cap_m_s)
+    try:
+        require_files(scene_xml.parent)
+        model = mujoco.MjModel.from_xml_path(str(scene_xml))
+    except (OSError, ValueError) as error:
+        raise TraceError(f"{scene_xml}: is no scene: {error}") from error
+    return judge_trace(trace, model, cap_m_s=cap_m_s)
 
 
 def judge_trace(trace: Trace, model: mujoco.MjModel, *, cap_m_s: float | None = None) -> Verdict:

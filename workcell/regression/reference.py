@@ -8,7 +8,6 @@ controller against it; `workcell.regression.bless` writes one.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import Any
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.errors import TraceError
+from workcell.files import read_object
 from workcell.regression import replay
 from workcell.regression.compare import Comparison, compare
 from workcell.regression.excerpt import Excerpt, Identity, excerpt
@@ -114,7 +114,7 @@ def load(folder: Path) -> Reference:
         InputError: its scenario is none this version can read.
     """
     try:
-        about = json.loads((folder / ABOUT_FILE).read_text(encoding="utf-8"))
+        about = read_object(folder / ABOUT_FILE)
         scenario = scenario_file.load(folder / runner.SCENARIO_FILE)
         layout = Layout(
             arms=tuple(about["arms"]),

@@ -17,6 +17,7 @@ import mujoco
 
 from workcell import run as runner
 from workcell.errors import InputError, TraceError
+from workcell.files import read_object, require_files
 from workcell.regression.replay import scenario_of
 from workcell.scene import cell as scene
 from workcell.trace import metrics
@@ -64,7 +65,7 @@ def restore(run: Path, out: Path) -> Salvage:
 def _copy_json(source: Path, target: Path) -> None:
     """Take over a file that is still what it should be; one that is not is left behind."""
     try:
-        json.loads(source.read_text(encoding="utf-8"))
+        read_object(source)
     except (OSError, ValueError):
         return
     shutil.copyfile(source, target)
@@ -76,6 +77,7 @@ def _scene(run: Path, out: Path, trace: Trace, losses: list[str]) -> Path | None
     scene_xml = folder / runner.SCENE_FILE
     try:
         shutil.rmtree(folder, ignore_errors=True)
+        require_files(run / runner.SCENE_FOLDER)
         shutil.copytree(run / runner.SCENE_FOLDER, folder)
         if mujoco.MjModel.from_xml_path(str(scene_xml)).nq == trace.layout.nq:
             return scene_xml

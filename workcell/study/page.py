@@ -7,7 +7,6 @@ it again.
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from workcell import run as runner
 from workcell.errors import InputError, TraceError
 from workcell.study import sweep as study
+from workcell.study.folder import FAILURES_FOLDER, folder_name, read_asked
 from workcell.study.report import (
     EVENTS,
     QUANTITIES,
@@ -47,11 +47,7 @@ def report(out: Path, out_html: Path) -> Path:
         InputError: plotly is not installed, or the folder holds no sweep.
     """
     plotly()
-    try:
-        asked = json.loads((out / study.PLAN_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"holds no sweep: {error}", file=out) from error
-    rows = read(out)
+    asked, rows = read_asked(out), read(out)
     page = Page(f"{asked['scenario']}: {len(rows)} runs of a sweep")
     counts = {name: len(made(r)) for name, r in by_setting(rows).items()}
     runs = 1 + max((row["run"] for row in rows), default=0)
@@ -141,8 +137,8 @@ def _worst(page: Page, rows: list[Row], asked: dict[str, Any], out: Path) -> Non
 
 def _folder(row: Row, asked: dict[str, Any], out: Path) -> Path:
     """The run folder of a run: kept since it failed, kept by an earlier report, or made again."""
-    name = study.folder_name(row["run"], row["setting"])
-    for folder in (out / study.FAILURES_FOLDER / name, out / WORST_FOLDER / name):
+    name = folder_name(row["run"], row["setting"])
+    for folder in (out / FAILURES_FOLDER / name, out / WORST_FOLDER / name):
         if (folder / runner.SUMMARY_FILE).is_file():
             return folder
     plan = study.plan(

@@ -16,6 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.errors import InputError
+from workcell.files import require_file
+from workcell.study.outcome import COLUMNS
 from workcell.study.statistics import paired, paired_events, percent, rate
 
 SUMMARY_FILE = "summary.md"
@@ -73,12 +76,26 @@ QUANTITIES = (
 
 
 def read(out: Path) -> list[Row]:
-    """The rows of a sweep's folder."""
+    """The rows of a sweep's folder.
+
+    Raises:
+        InputError: its table is missing or damaged.
+    """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from workcell.study.sweep import TABLE_FILE
+    from workcell.study.folder import TABLE_FILE
 
-    return pq.read_table(out / TABLE_FILE).to_pylist()
+    path = out / TABLE_FILE
+    try:
+        require_file(path)
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"the table of the sweep cannot be read: {error}", file=path) from error
+    missing = [name for name in COLUMNS if name not in table.column_names]
+    if missing:
+        raise InputError(f"is no table of a sweep: {', '.join(missing)} missing", file=path)
+    return table.to_pylist()
 
 
 def by_setting(rows: list[Row]) -> dict[str, list[Row]]:

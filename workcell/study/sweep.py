@@ -4,10 +4,8 @@
     work      runs handed to workers, a few ahead of them; every result is on disk at once
     conclude  journal -> runs.parquet, one row a run, in order
 
-The folder of a sweep: sweep.json (what was asked), runs.jsonl (the journal, a line a run, while
-it lasts and for `--resume`), runs.parquet, failures/ (run folders with the command that makes
-them again), summary.md and figures. A run is fixed by (scenario, seed, number, setting): neither the
-workers nor their number enter.
+The folder of a sweep holds what `folder.py` says, summary.md and figures. A run is fixed by (scenario, seed,
+number, setting): neither the workers nor their number enter.
 """
 
 from __future__ import annotations
@@ -27,13 +25,16 @@ from workcell import scenario as scenario_file
 from workcell.errors import InputError
 from workcell.run import versions
 from workcell.study import outcome, workers
+from workcell.study.folder import (
+    JOURNAL_FILE,
+    TABLE_FILE,
+    keep_failure,
+    kept,
+    open_folder,
+    write_table,
+)
 from workcell.study.outcome import Outcome, Report
 from workcell.study.vary import Variations, load_variations
-
-PLAN_FILE = "sweep.json"
-JOURNAL_FILE = "runs.jsonl"
-TABLE_FILE = "runs.parquet"
-FAILURES_FOLDER = "failures"
 
 KEPT_FAILURES = 50
 """Run folders kept of failed runs; chosen as more than anyone looks through, a few hundred megabytes."""
@@ -159,14 +160,14 @@ def sweep(
     Raises:
         InputError: the folder holds a sweep, or another than this one.
     """
-    done = _open(what, out, resume)
+    done = open_folder(what.asked, what.runs, out, resume)
     started = time.monotonic()
-    kept, failed, simulated_s, complete = len(_kept(out)), 0, 0.0, False
+    folders, failed, simulated_s, complete = len(kept(out)), 0, 0.0, False
     before = len(done)
     try:
         with (out / JOURNAL_FILE).open("a", encoding="utf-8") as journal:
             reports = _reports(
-                what, executor, what.tasks(set(done)), ahead, lambda: kept < KEPT_FAILURES
+                what, executor, what.tasks(set(done)), ahead, lambda: folders < KEPT_FAILURES
             )
             for report, values in reports:
                 row = report.outcome
@@ -175,9 +176,9 @@ def sweep(
                 done.add((row.run, row.setting))
                 if row.status != "refused" and not row.success:
                     failed += 1
-                if report.files and kept < KEPT_FAILURES:
-                    _keep(out, report)
-                    kept += 1
+                if report.files and folders < KEPT_FAILURES:
+                    keep_failure(out, report)
+                    folders += 1
                 simulated_s += row.simulated_s
                 if progress:
                     wall_s = time.monotonic() - started
@@ -189,24 +190,6 @@ def sweep(
     if len(done) > before or not (out / TABLE_FILE).is_file():
         write_table(out)
     return complete
-
-
-def write_table(out: Path) -> Path:
-    """runs.parquet from the journal, rows in the order of runs and settings; torn lines are left out."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    asked = json.loads((out / PLAN_FILE).read_text(encoding="utf-8"))
-    order = {setting: place for place, setting in enumerate(asked["content_sha256"])}
-    lines = sorted(_journal(out), key=lambda line: (line["run"], order[line["setting"]]))
-    columns: dict[str, Any] = {name: [line[name] for line in lines] for name in outcome.COLUMNS}
-    for key in asked["vary"]:
-        values = [line["values"].get(key) for line in lines]
-        # A choice may mix types, which a column cannot: those are kept as text.
-        plain = len({type(v) for v in values}) == 1
-        columns[f"vary.{key}"] = values if plain else [json.dumps(v) for v in values]
-    pq.write_table(pa.table(columns), out / TABLE_FILE)
-    return out / TABLE_FILE
 
 
 def make_run(
@@ -279,66 +262,3 @@ def _settings(text: str) -> list[str]:
 def _digest(variations: Variations) -> str:
     text = json.dumps([variations.content, variations.laws], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _open(what: Plan, out: Path, resume: bool) -> set[tuple[int, str]]:
-    """Make or reopen the folder of a sweep; returns the runs it already holds."""
-    plan_file = out / PLAN_FILE
-    if plan_file.is_file():
-        if not resume:
-            raise InputError(
-                f"--out {out}: holds a sweep; say --resume to go on with it, or name another folder"
-            )
-        there = json.loads(plan_file.read_text(encoding="utf-8"))
-        differing = [key for key, value in what.asked.items() if there.get(key) != value]
-        if differing:
-            raise InputError(
-                f"--resume: the sweep in {out} differs from what is asked now in {', '.join(differing)}"
-            )
-        _drop_torn_line(out / JOURNAL_FILE)
-    else:
-        out.mkdir(parents=True, exist_ok=True)
-        plan_file.write_text(json.dumps(what.asked, indent=2) + "\n", encoding="utf-8")
-        (out / JOURNAL_FILE).write_text("", encoding="utf-8")
-    # A run that its worker did not survive, or a defect broke off, is made again.
-    return {
-        (line["run"], line["setting"])
-        for line in _journal(out)
-        if line["run"] < what.runs and line["status"] not in ("died", "error")
-    }
-
-
-def _journal(out: Path) -> list[dict[str, Any]]:
-    """Whole lines of the journal, the last of each run."""
-    latest: dict[tuple[int, str], dict[str, Any]] = {}
-    for line in (out / JOURNAL_FILE).read_text(encoding="utf-8").splitlines(keepends=True):
-        if line.endswith("\n"):
-            row = json.loads(line)
-            latest[row["run"], row["setting"]] = row
-    return list(latest.values())
-
-
-def _drop_torn_line(journal: Path) -> None:
-    """Cut off what a kill left of a last line, so that the next one does not continue it."""
-    text = journal.read_bytes()
-    journal.write_bytes(text[: text.rfind(b"\n") + 1])
-
-
-def _kept(out: Path) -> list[Path]:
-    return sorted((out / FAILURES_FOLDER).glob("*/"))
-
-
-def _keep(out: Path, report: Report) -> None:
-    folder = out / FAILURES_FOLDER / folder_name(report.outcome.run, report.outcome.setting)
-    for name, content in report.files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    command = f"workcell run {folder / 'scenario.toml'} --out {folder.name}_again"
-    (folder / "reproduce.txt").write_text(command + "\n", encoding="utf-8")
-
-
-def folder_name(run: int, setting: str) -> str:
-    """Name of the folder of one run among those of a sweep."""
-    label = "".join(c if c.isalnum() or c in "._-" else "_" for c in setting.replace("=", "-"))
-    return f"{run:05d}{'_' + label if label else ''}"

@@ -22,6 +22,7 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 
 from workcell.errors import TraceError
+from workcell.files import require_files
 from workcell.trace.table import Trace
 from workcell.view.blueprint import layout
 from workcell.view.curves import log_curves
@@ -117,8 +118,9 @@ def _load_scene(trace: Trace, scene_xml: Path | str) -> mujoco.MjModel:
     if not len(trace):
         raise TraceError(f"{trace.source}: has no rows to show")
     try:
+        require_files(Path(scene_xml).parent)
         model = mujoco.MjModel.from_xml_path(str(scene_xml))
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise TraceError(f"{scene_xml}: is no scene: {error}") from error
     if model.nq != trace.layout.nq:
         raise TraceError(
