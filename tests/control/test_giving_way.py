@@ -196,7 +196,7 @@ def test_nobody_gives_way_for_what_its_own_base_comes_near_to(tmp_path):
     assert ("surgeon/carriage_capsule", "nurse/base_capsule") in names
     data = mujoco.MjData(cell.model)
     cell.place_home(data)
-    controller._sensing.measure(0, data.qpos.copy(), data.qvel.copy(), settings)
+    controller._sensing.measure(0, data.qpos.copy(), data.qvel.copy(), data.qvel.copy(), settings)
     still = np.zeros(len(constraints.arm.dofs))
     constraints.other_m_s[owned[standing]] = -10.0
     allowance = constraints.allow(still, still, cell.period_s, settings)

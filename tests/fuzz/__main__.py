@@ -78,7 +78,8 @@ def _batch(name: str, first: int, count: int) -> Iterator[Result]:
     results = [json.loads(line) for line in lines if line.startswith("{")]
     yield from results
     if ended:
-        yield {"target": name, "seed": first + len(results), "faults": [ended], "calls": []}
+        seed = first + len(results)
+        yield {"target": name, "seed": seed, "faults": [ended], "calls": [], "judged": 0}
 
 
 def _result(case: harness.Case) -> Result:
@@ -92,23 +93,30 @@ def _result(case: harness.Case) -> Result:
         else fault
         for fault in case.faults
     ]
-    return {"target": case.target, "seed": case.seed, "faults": faults, "calls": calls}
+    return {
+        "target": case.target,
+        "seed": case.seed,
+        "faults": faults,
+        "calls": calls,
+        "judged": case.judged,
+    }
 
 
 def table(results: list[Result]) -> str:
-    """Counts a target: cases, calls by exit status, cases with a fault, the longest call."""
+    """Counts a target: cases, calls by exit status, runs judged, cases with a fault, the longest call."""
     lines = [
-        "| target | cases | calls | status 0 | 1 | 2 | faults | longest call |",
-        "|" + " --- |" * 8,
+        "| target | cases | calls | status 0 | 1 | 2 | runs judged | faults | longest call |",
+        "|" + " --- |" * 9,
     ]
     for name in dict.fromkeys(result["target"] for result in results):
         mine = [result for result in results if result["target"] == name]
         calls = [call for result in mine for call in result["calls"]]
         by_status = Counter(call["status"] for call in calls)
         longest = max((call["took_s"] for call in calls), default=0.0)
+        judged = sum(result["judged"] for result in mine)
         faults = sum(bool(result["faults"]) for result in mine)
         lines.append(
-            f"| {name} | {len(mine)} | {len(calls)} | {by_status[0]} | {by_status[1]} | {by_status[2]} | {faults} | {longest:.1f} s |"
+            f"| {name} | {len(mine)} | {len(calls)} | {by_status[0]} | {by_status[1]} | {by_status[2]} | {judged} | {faults} | {longest:.1f} s |"
         )
     return "\n".join(lines)
 

@@ -70,6 +70,8 @@ class Case:
     seed: int
     calls: list[Call] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
+    judged: int = 0
+    """Runs of which the judge was asked."""
 
     def call(self, *arguments: str) -> Call:
         """Call the command line and note what it may not do."""

@@ -74,6 +74,7 @@ def _check_and_run(
             if ran.status == 2:
                 case.faults.append(f"run refused what check had passed: {ran.err[:300]}")
             elif ran.status in (0, 1):
+                case.judged += 1
                 case.faults += second_opinion(Path("run"))
 
 

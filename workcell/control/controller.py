@@ -67,6 +67,7 @@ class Controller:
         self._strategies = Strategies(cell)
         self._passage = Passage(cell, self._sensing)
         pair_assignment.assign(cell, self.grasps, self._sensing.watched, self._arms)
+        self._still = np.zeros(cell.model.nv)
         self._commands: dict[str, NDArray[np.float64] | Twist] = {}
         """What is asked from outside, for the next tick."""
         self._record: TickRecord | None = None
@@ -188,9 +189,10 @@ class Controller:
         while self._changes and self._changes[0].time_s <= self.tick * self.cell.period_s:
             self.tune(**self._changes.pop(0).settings)
         settings = self._settings
-        sensed = self._sensing.measure(self.tick, np.array(qpos), np.array(qvel), settings)
+        last = self._still if self._record is None else self._record.command_rad_s
+        sensed = self._sensing.measure(self.tick, np.array(qpos), np.array(qvel), last, settings)
         seen = {arm.name: self._sensing.look_at(arm, settings) for arm in self._arms}
-        verdict = self._ask(sensed, seen, sensed.qpos if encoders is None else encoders)
+        verdict = self._ask(sensed, seen, sensed.told_qpos if encoders is None else encoders)
         setpoints = {arm.name: self._setpoints.follow(arm, sensed, seen) for arm in self._arms}
         for arm in self._arms:
             prediction.predict(self._sensing.watched, arm, setpoints[arm.name])

@@ -56,8 +56,8 @@ def outcome(
         time_s=sensed.time_s,
         plant_qpos=None,  # the plant's to say
         plant_qvel=None,
-        qpos=sensed.qpos,
-        qvel=sensed.qvel,
+        qpos=sensed.told_qpos,
+        qvel=sensed.told_qvel,
         pair_distance_m=sensed.distance_m,
         pair_rate_m_s=sensed.rate_m_s,
         t_min_s=settings.t_min_s,

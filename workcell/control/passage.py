@@ -28,7 +28,7 @@ NOISE_DEVIATIONS = 4.0
 """So many standard deviations of the encoders' noise a measured position may be off: chosen to be exceeded
 once in 16,000 samples."""
 SERVO_S = 0.1
-"""A command that is older than this beyond the latency has been followed: a few times the settling time of a
+"""A command that is older than this has been followed: a few times the settling time of a
 servo that tracks at all."""
 
 
@@ -134,9 +134,9 @@ class _ArmGate:
 
 
 class _Flight:
-    """What joints have ahead of them before the next command acts: commands in flight, lost measurements, servo lag.
+    """What joints have ahead of them before the next command acts: servo lag. (What is late, `delay.py` carries on.)
 
-    It is where the servos' references are, the sum of all commands, less where the joints were measured; but no
+    It is where the servos' references are, the sum of all commands, less where the joints are; but no
     more than was commanded lately: what a standing joint sags below its reference is not ahead of it.
 
     Args:
@@ -147,9 +147,8 @@ class _Flight:
     def __init__(self, cell: Cell, arm: ControlledArm):
         simulation, self._period_s = cell.scenario.simulation, cell.period_s
         n = len(arm.dofs)
-        late = simulation.latency_ticks
-        self._lately = np.zeros((late + max(1, round(SERVO_S / cell.period_s)), n))
-        self._place, self._total, self._late = 0, np.zeros(n), late
+        self._lately = np.zeros((max(1, round(SERVO_S / cell.period_s)), n))
+        self._place, self._total = 0, np.zeros(n)
         self._reference: Array | None = None
         # The integral of a velocity servo's commands drifts away from its joint.
         drifts = [servo.kind != "position" for servo in arm.addresses.servos] or [False] * n
@@ -157,7 +156,7 @@ class _Flight:
         self._any_drifts = bool(self._drifts.any())
 
     def way(self, q_rad: Array, last_rad_s: Array) -> Array:
-        """(n,) displacement from the measured position (n,), after the last command (n,)."""
+        """(n,) displacement from the present position (n,), after the last command (n,)."""
         step = last_rad_s * self._period_s
         lately, place = self._lately, self._place
         self._total += np.abs(step) - np.abs(lately[place])
@@ -169,7 +168,4 @@ class _Flight:
         lag = LARGEST_LAG_RAD + most
         self._reference = q_rad + np.minimum(np.maximum(way, -lag), lag)
         way = np.minimum(np.maximum(way, -most), most)
-        if not self._any_drifts:
-            return way
-        ago = [(place - k) % len(lately) for k in range(self._late)]
-        return np.where(self._drifts, lately[ago].sum(axis=0), way)
+        return np.where(self._drifts, 0.0, way) if self._any_drifts else way

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
 from workcell.control.arm_constraints import Watched
+from workcell.control.delay import Delay
 from workcell.control.finite import require_finite
 from workcell.control.grasp import Grasps
 from workcell.control.proximity import PairGeometry, Proximity
@@ -43,6 +44,7 @@ class Sensing:
         # MuJoCo's arrays never move; asking for them anew each tick takes as long as using them.
         self._site_xpos, self._site_xmat = data.site_xpos, data.site_xmat
         self._twist = np.empty(6)
+        self._delay = Delay(cell)
         self._still = np.zeros(cell.model.nv)
         self._geometry = PairGeometry(
             cell.model, [tuple(pair) for pair in cell.pairs.geoms], cell.sensor_adr
@@ -57,15 +59,24 @@ class Sensing:
         tick: int,
         qpos: NDArray[np.float64],
         qvel: NDArray[np.float64],
+        last_rad_s: NDArray[np.float64],
         settings: Control,
     ) -> Sensed:
-        """Take a measured state: (nq,) positions and (nv,) velocities, which are kept.
+        """Take a measured state.
+
+        Args:
+            tick: Number of the tick.
+            qpos, qvel: (nq,) and (nv,) as measured; they are kept.
+            last_rad_s: (nv,) the commands of the tick before.
+            settings: The parameters in force.
 
         Raises:
             ControlFault: a number is not finite.
         """
         require_finite(tick, qpos, "qpos, the measured joint positions")
         require_finite(tick, qvel, "qvel, the measured joint velocities")
+        told_qpos, told_qvel = qpos, qvel
+        qpos, qvel = self._delay.now(qpos, qvel, last_rad_s)
         belief, watched = self.belief, self.watched
         belief.data.qvel[:] = qvel
         belief.update(qpos)
@@ -88,6 +99,8 @@ class Sensing:
             time_s=tick * self._period_s,
             qpos=qpos,
             qvel=qvel,
+            told_qpos=told_qpos,
+            told_qvel=told_qvel,
             settings=settings,
             distance_m=watched.distance_m.copy(),
             rate_m_s=rates.rate_m_s,

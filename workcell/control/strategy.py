@@ -116,7 +116,7 @@ class ArmView:
 
     @property
     def q_rad(self) -> Array:
-        """(n,) measured joint positions."""
+        """(n,) joint positions."""
         return self.sensed.qpos[self._arm.addresses.qpos]
 
     @property

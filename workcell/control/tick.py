@@ -30,9 +30,13 @@ class Sensed(NamedTuple):
     tick: int
     time_s: float
     qpos: Array
-    """(nq,) measured positions."""
+    """(nq,) measured positions, carried on to this tick where they are late."""
     qvel: Array
-    """(nv,) measured velocities."""
+    """(nv,) measured velocities, likewise."""
+    told_qpos: Array
+    """(nq,) positions as measured, which the trace keeps."""
+    told_qvel: Array
+    """(nv,) velocities as measured."""
     settings: Control
     """The parameters in force."""
     distance_m: Array
