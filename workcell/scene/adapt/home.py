@@ -26,10 +26,17 @@ CLEAR_M = 0.03
 """Room that a home leaves between parts of the arm, and above the floor."""
 OUTWARD = 0.3
 """Weight of a tool that points away from the base, beside a dexterity of about 0.2; chosen so that two arms can face one another."""
+LACKING = 200.0
+"""Weight of a metre of room that lacks, beside a dexterity of about 0.2; chosen so that a millimetre counts as much as dexterity."""
 CANDIDATES = 800
 TOOL = "tool"
 
+HOUSING, CAPSULES = 2, 4
+"""Groups of an adapted arm's geoms."""
+
 Pairs = tuple[tuple[str, str], ...]
+BodyPairs = dict[tuple[int, int], list[tuple[int, int]]]
+"""Geom pairs by body pair."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +69,35 @@ def poses(model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.random.default_rng(0).uniform(lower, upper, (SAMPLES, model.nq))
 
 
-def _far_pairs(model: mujoco.MjModel) -> dict[tuple[int, int], list[tuple[int, int]]]:
-    """Capsule pairs of bodies that are more than NEIGHBOUR_JOINTS joints apart, by body pair."""
+def _pairs(model: mujoco.MjModel, group: int, fewest: int, most: int) -> BodyPairs:
+    """Geom pairs of a group whose bodies are so many joints apart, by body pair."""
     above: dict[int, frozenset[int]] = {0: frozenset()}
     for body in range(1, model.nbody):
         start, count = model.body_jntadr[body], model.body_jntnum[body]
         above[body] = above[int(model.body_parentid[body])] | set(range(start, start + count))
-    found: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    capsules = np.flatnonzero(model.geom_group == 4)
-    for g, h in combinations(capsules.tolist(), 2):
+    found: BodyPairs = {}
+    for g, h in combinations(np.flatnonzero(model.geom_group == group).tolist(), 2):
         pair = int(model.geom_bodyid[g]), int(model.geom_bodyid[h])
-        if len(above[pair[0]] ^ above[pair[1]]) > NEIGHBOUR_JOINTS:
+        if fewest <= len(above[pair[0]] ^ above[pair[1]]) <= most:
             found.setdefault(pair, []).append((g, h))
     return found
+
+
+def _far_pairs(model: mujoco.MjModel) -> BodyPairs:
+    """Capsule pairs of bodies that are more than NEIGHBOUR_JOINTS joints apart."""
+    return _pairs(model, CAPSULES, NEIGHBOUR_JOINTS + 1, model.njnt)
+
+
+def _folding_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Housing pairs of nearer bodies that are near in some poses and apart in others: the arm may fold onto itself there."""
+    data = mujoco.MjData(model)
+    near = [p for pairs in _pairs(model, HOUSING, 1, NEIGHBOUR_JOINTS).values() for p in pairs]
+    count = np.zeros(len(near), dtype=int)
+    for pose in poses(model):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        count += [mujoco.mj_geomDistance(model, data, g, h, 0.1, None) < NEAR_M for g, h in near]
+    return [pair for pair, c in zip(near, count, strict=True) if 0 < c < SAMPLES]
 
 
 def touching_by_construction(model: mujoco.MjModel) -> Touching:
@@ -125,14 +148,19 @@ def choose(
         reach = max(reach, float(np.linalg.norm(data.site_xpos[site])))
     skipped = {frozenset(pair) for pair in excluded}
     far = [
-        capsules
+        pair
         for (i, j), capsules in _far_pairs(model).items()
         if frozenset((model.body(i).name, model.body(j).name)) not in skipped
+        for pair in capsules
     ]
+    folding = _folding_pairs(model)
     said = []
     if keyframe is not None:
         name, q = keyframe
-        if room.clearance(far, q) > CLEAR_M and _dexterity(model, data, site, reach) > 0.02:
+        if (
+            room.clearance(far, folding, q) > CLEAR_M
+            and _dexterity(model, data, site, reach) > 0.02
+        ):
             return Home(q, (f"home: keyframe {name}",), reach, room.floor_m, room.on_floor)
         said.append(
             f"keyframe {name} is no home: the arm is too near itself in it, or cannot move its tool every way"
@@ -145,7 +173,7 @@ def choose(
     drawn = np.random.default_rng(1).uniform(-0.7, 0.7, (CANDIDATES, model.nq))
     best, best_score = middle, -np.inf
     for pose in (middle, *(middle + half * drawn)):
-        clearance = room.clearance(far, pose)
+        clearance = room.clearance(far, folding, pose)
         tool = data.site_xpos[site].copy()
         out = float(np.hypot(*tool[:2])) / max(reach, 1e-9)
         score = _dexterity(model, data, site, reach)
@@ -154,7 +182,7 @@ def choose(
             + max(0.0, out - 0.75)
             + max(0.0, 0.1 - (tool[2] - room.floor_m) / max(reach, 1e-9))
         )
-        score -= 20 * max(0.0, CLEAR_M - clearance)
+        score -= LACKING * max(0.0, CLEAR_M - clearance)
         if score > best_score:
             best, best_score = pose, score
     said.append(
@@ -175,7 +203,7 @@ class _Room:
         self._model, self._data, self._beside = model, data, beside
         self._moving = [
             g
-            for g in np.flatnonzero(model.geom_group == 4).tolist()
+            for g in np.flatnonzero(model.geom_group == CAPSULES).tolist()
             if model.body_weldid[model.geom_bodyid[g]]
         ]
         lowest = min([0.0, *self._lowest_of_base(), *self._lowest_of_links()])
@@ -188,7 +216,9 @@ class _Room:
         mujoco.mj_kinematics(model, data)
         standing = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0).tolist()
         return [
-            float(surface(model, data, g)[:, 2].min()) for g in standing if model.geom_group[g] != 4
+            float(surface(model, data, g)[:, 2].min())
+            for g in standing
+            if model.geom_group[g] != CAPSULES
         ]
 
     def _lowest_of_links(self) -> list[float]:
@@ -212,6 +242,8 @@ class _Room:
             )
         )
         """Bodies that a slide joint moves level over the floor."""
+        self._rising = [g for g, level in zip(self._moving, turns_level, strict=True) if not level]
+        """Capsules whose height a pose changes."""
         best = heights.max(axis=0, initial=-np.inf) - 2 * CLEAR_M
         return best[~turns_level].tolist()
 
@@ -229,21 +261,31 @@ class _Room:
         half = abs(data.geom_xmat[geom].reshape(3, 3)[2, 2]) * model.geom_size[geom, 1]
         return float(data.geom_xpos[geom, 2] - half - model.geom_size[geom, 0])
 
-    def clearance(self, far: list[list[tuple[int, int]]], q: NDArray[np.float64]) -> float:
-        """Least distance of capsules that must stay apart, of moving ones above the floor and from what is beside."""
+    def clearance(
+        self,
+        far: list[tuple[int, int]],
+        folding: list[tuple[int, int]],
+        q: NDArray[np.float64],
+    ) -> float:
+        """Least distance of capsules that must stay apart, of moving ones above the floor and from what is beside.
+
+        Neighbours that could fold onto one another are near by design: `NEAR_M` between them counts as `CLEAR_M`.
+        """
         model, data = self._model, self._data
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         least = min(
-            (
-                mujoco.mj_geomDistance(model, data, g, h, 0.2, None)
-                for capsules in far
-                for g, h in capsules
-            ),
-            default=0.2,
+            [
+                0.2,
+                *(mujoco.mj_geomDistance(model, data, g, h, 0.2, None) for g, h in far),
+                *(
+                    mujoco.mj_geomDistance(model, data, g, h, 0.2, None) + CLEAR_M - NEAR_M
+                    for g, h in folding
+                ),
+            ]
         )
-        for g in self._moving:
+        for g in self._rising:
             least = min(least, self._bottom(g) - self.floor_m)
         if self._beside is not None:
             least = min(least, self._beside(data))
