@@ -8,7 +8,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from workcell.control.gate import CLEARANCE_M, Gated, GateRules, ahead, braking, gate
+from workcell.control.gate import (
+    CLEARANCE_M,
+    Gated,
+    GateRows,
+    GateRules,
+    JointLimits,
+    JointState,
+    ahead,
+    braking,
+    gate,
+)
 from workcell.errors import WorkcellError
 
 from . import gate_cell
@@ -162,6 +172,30 @@ def test_the_predicted_rate_of_others_tightens_what_is_left():
     # What already closes faster than standing can keep asks for no opening: that is the strategy's to give.
     answer = ask(cell, np.zeros(1), np.zeros(1), other_m_s=np.array([-1.0]))
     assert not answer.replaced
+
+
+def test_what_stands_is_not_closed_on_for_the_sake_of_what_another_arm_presses():
+    """A joint that moves towards a post as a hand follows it: it can brake for the post or go on fleeing from the hand."""
+    rows = GateRows(
+        pair=np.array([4, 9]),
+        distance_m=np.array([0.05, 0.2]),
+        own=np.array([[-1.0, 0.0], [1.0, 1.0]]),
+        first=np.array([0, 1, 2]),
+        order=np.array([[0, -1], [1, 0]]),
+        rows=np.array([[-1.0, 0.0], [1.0, 1.0]]),
+        levers=np.ones((2, 2)),
+        low_m=np.array([0.05, 0.2]),
+    )
+    limits = JointLimits(*(np.full(2, x) for x in (-9.0, 9.0, 1.0, 1.0, np.inf)))
+    still, last = np.zeros(2), np.array([0.06, -0.2])
+    state, rules = JointState(still, last, still, still, still), gate_cell.rules(t_min_s=1.0)
+    # The post allows the first joint 0.05; the hand, which comes at 0.15, asks for first + second >= -0.05.
+    answer = gate(last, state, limits, rows, rules, other_m_s=np.array([0.0, -0.15]))
+    np.testing.assert_allclose(answer.command, [0.05, -0.19], atol=1e-6)
+    assert answer.missed_pair == 9
+    # A hand that stands asks for nothing.
+    answer = gate(last, state, limits, rows, rules, other_m_s=np.zeros(2))
+    np.testing.assert_allclose(answer.command, [0.05, -0.2], atol=1e-6)
 
 
 def test_in_contact_only_opening_passes():

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workcell.control.arm_constraints import Keeping
 from workcell.control.laws.pair_rule import TASK_SLACK_M_S, smallest_rates
 from workcell.control.laws.speed_scale import backing_factor
 from workcell.control.strategy import ArmView
@@ -61,7 +62,7 @@ def keep(view: ArmView, nominal_rad_s: Array, factor: float, infeasible: bool) -
         return found
     keeping = view.kept(velocity)
     if infeasible or keeping.needs_more.any():
-        found = _leave_path(view, nominal_rad_s, velocity, keeping.rows, keeping.needed_m_s)
+        found = _leave_path(view, nominal_rad_s, velocity, keeping)
         keeping = view.kept(found.velocity_rad_s)
     if not keeping.short.any():
         view.remember_kept()
@@ -75,7 +76,7 @@ def slide(view: ArmView, nominal_rad_s: Array) -> Avoidance:
     Slowing down would not do: what is drawn out of a hand passes close by its fingers.
     """
     standing = view.kept(np.zeros_like(nominal_rad_s))
-    found = _leave_path(view, nominal_rad_s, nominal_rad_s, standing.rows, standing.needed_m_s)
+    found = _leave_path(view, nominal_rad_s, nominal_rad_s, standing)
     return found._replace(forced=bool(standing.allowance_m_s.min() < -TASK_SLACK_M_S))
 
 
@@ -108,10 +109,23 @@ def give_way(view: ArmView, nominal_rad_s: Array) -> Avoidance:
 
 
 def _leave_path(
-    view: ArmView, nominal_rad_s: Array, preferred_rad_s: Array, rows: Array, needed_m_s: Array
+    view: ArmView, nominal_rad_s: Array, preferred_rad_s: Array, keeping: Keeping
 ) -> Avoidance:
-    """What is nearest to a preferred velocity (n,) among what gives each row (R, n) its needed rate (R,)."""
-    velocity, solved = view.evade(preferred_rad_s, rows, needed_m_s), True
+    """What is nearest to a preferred velocity (n,) among what gives each pair its needed rate.
+
+    What the arm's own motion alone closes comes first: where the joints cannot keep every pair, the part of it that
+    another arm's motion asks for is missed, never a pair that this arm would close below t_min were the other to stand.
+    """
+    rows, needed_m_s, hard = keeping.rows, keeping.needed_m_s, None
+    others = view.other_m_s[view.owned]
+    pressed = others < 0.0
+    if pressed.any():
+        # Without what the other does, the same pair asks for less.
+        own = np.minimum(others - keeping.allowance_m_s, 0.0)[pressed]
+        rows = np.concatenate([rows, rows[pressed]])
+        needed_m_s = np.concatenate([needed_m_s, own])
+        hard = np.concatenate([~pressed, np.ones(len(own), dtype=bool)])
+    velocity, solved = view.evade(preferred_rad_s, rows, needed_m_s, hard), True
     if velocity is None:
         velocity, solved = _braking(view), False
     along = float(velocity @ nominal_rad_s) / max(float(nominal_rad_s @ nominal_rad_s), 1e-12)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import daqp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +36,7 @@ from workcell.control.gate.data import (
     JointLimits,
     JointState,
 )
+from workcell.control.gate.program import SOFT, Rows, nearest
 from workcell.control.laws import gate as laws
 from workcell.control.laws import gate_box
 from workcell.errors import WorkcellError
@@ -55,8 +55,6 @@ ROUNDS = 4
 """Of the program, each with the cuts of all before it."""
 TOWARDS_BRAKING = (0.5, 0.25, 0.1)
 """Shares of the way from braking to the program's answer that are tried where that does not pass."""
-_SOFT = 8
-_SOLVED = (1, 2)  # daqp's flags: optimal; optimal with a soft constraint missed
 
 _NOTHING = np.empty(0)
 
@@ -244,29 +242,20 @@ class _Gate:
 
         Each is min |y - x|² in the box, under the rates and a cut for each row that failed before.
         """
-        n = len(y)
         low, high = self.box
         # The other rates hold wherever in the box the answer is.
         most = np.abs(self.rows.own) @ np.maximum(np.abs(low), np.abs(high))
-        needed = self.demands[0]
-        near = needed > -most
-        A, b = [self.rows.own[near]], [needed[near]]
-        sense = [np.full(int(near.sum()), _SOFT, dtype=np.intc)]
+        asked, alone = self.demands[0], self._alone()
+        first, pressed = alone > -most, (asked > -most) & (self.other_m_s < 0.0)
+        cuts = Rows(
+            self.rows.own[pressed],
+            asked[pressed],
+            np.full(int(pressed.sum()), SOFT, dtype=np.intc),
+        )
         for _ in range(ROUNDS):
-            cuts, needs, marks = self._cuts(y, look)
-            A.append(cuts)
-            b.append(needs)
-            sense.append(marks)
-            lower = np.concatenate([low, *b])
-            found, _, flag, _ = daqp.solve(
-                np.eye(n),
-                -command,
-                np.ascontiguousarray(np.concatenate(A)),
-                np.concatenate([high, np.full(len(lower) - n, 1e30)]),
-                lower,
-                np.concatenate([np.zeros(n, dtype=np.intc), *sense]),
-            )
-            if flag not in _SOLVED or not np.isfinite(found).all():
+            cuts = cuts.and_these(self._cuts(y, look))
+            found = nearest(command, low, high, self.rows.own[first], alone[first], cuts)
+            if found is None:
                 break
             y = found.clip(low, high)
             look = self._look(y)
@@ -274,8 +263,31 @@ class _Gate:
                 break
         return y, look
 
-    def _cuts(self, y: Array, look: _Look) -> tuple[Array, Array, NDArray[np.intc]]:
-        """Rows (K, n) with A z >= b (K,), and daqp's marks, for what fails at y: stops hard, point speeds soft."""
+    def _alone(self) -> Array:
+        """(P,) smallest own rates were all others to stand."""
+        rows, rules, P = self.rows, self.rules, len(self.rows.distance_m)
+        alone = np.empty(P)
+        laws.demands(
+            rows.distance_m,
+            self.meeting,
+            np.zeros(P),
+            rows.first,
+            rows.low_m,
+            rules.t_min_s,
+            rules.d_min_m,
+            rules.standoff_m,
+            rules.hold_m,
+            RATE_SLACK_M_S,
+            REST_SLACK_M_S,
+            CLEARANCE_M,
+            alone,
+            np.empty(P),
+            np.empty(len(rows.low_m)),
+        )
+        return alone
+
+    def _cuts(self, y: Array, look: _Look) -> Rows:
+        """What fails at y: stops hard, point speeds soft."""
         state, rows = self.state, self.rows
         cuts, needs, marks = [np.empty((0, len(y)))], [], []
         pair_of = np.repeat(np.arange(len(rows.pair)), np.diff(rows.first))
@@ -301,8 +313,8 @@ class _Gate:
             for c in np.flatnonzero(look.over_m_s > 0.0):
                 cuts.append(-self.links.gradient(int(c), y)[None])
                 needs.append(-self.rules.point_speed_m_s)
-                marks.append(_SOFT)
-        return np.concatenate(cuts), np.array(needs), np.array(marks, dtype=np.intc)
+                marks.append(SOFT)
+        return Rows(np.concatenate(cuts), np.array(needs), np.array(marks, dtype=np.intc))
 
     def _why(self, command: Array, y: Array, look: _Look) -> tuple[tuple[str, ...], int | None]:
         reasons, pair, moved = [], None, np.abs(y - command)
