@@ -79,7 +79,8 @@ def all_finite(array: NDArray[np.float64]) -> bool:
     Whatever is not finite makes the sum of squares so too. Numbers beyond 1e154 can as well; only
     then are the entries looked at.
     """
-    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
+    flat = array if array.ndim == 1 else array.reshape(-1)
+    return math.isfinite(flat.dot(flat)) or bool(np.isfinite(array).all())
 
 
 def alike(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

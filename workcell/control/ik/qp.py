@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
-import daqp
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.finite import all_finite
+from workcell.control.ik import quadprog
 
 SOLVER_TOLERANCE_RAD_S = 1e-9
 """How far a constraint may be missed; far below what an encoder sees."""
@@ -31,6 +32,14 @@ class Program:
     """(n + R,)"""
     sense: NDArray[np.intc]
     """(n + R,) daqp's marks; see `laws.program`."""
+    solve: Callable[[], tuple[NDArray[np.float64], int]] = field(init=False, repr=False)
+    """Solves what stands in the arrays then; see `quadprog.bind`."""
+
+    def __post_init__(self) -> None:
+        solve = quadprog.bind(
+            self.H, self.c, self.rows, self.lower, self.upper, self.sense, SOLVER_TOLERANCE_RAD_S
+        )
+        object.__setattr__(self, "solve", solve)
 
 
 class ProgramSpace:
@@ -71,16 +80,8 @@ class ProgramSpace:
 
 
 def solution(program: Program) -> NDArray[np.float64] | None:
-    """(n,) what daqp finds; None where there is no acceptable solution."""
-    velocity, _, flag, _ = daqp.solve(
-        program.H,
-        program.c,
-        program.rows,
-        program.upper,
-        program.lower,
-        program.sense,
-        primal_tol=SOLVER_TOLERANCE_RAD_S,
-    )
+    """(n,) what daqp finds, good until the same program is solved again; None where there is no acceptable solution."""
+    velocity, flag = program.solve()
     if flag not in (_SOLVED, _SOLVED_SOFT) or not all_finite(velocity):
         return None
     return velocity
