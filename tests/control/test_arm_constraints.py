@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mink
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -64,6 +65,27 @@ class Bench:
         self.constraints.meeting[...] = random.random(len(owned)) < 0.2
 
 
+def state_of(constraints: ArmConstraints, data: mujoco.MjData, *, approaching: bool):
+    """Tool and elbow position, and what else is told of the arm."""
+    position, elbow = np.empty((2, 3))
+    frames = data.site_xpos, data.cvel, data.subtree_com
+    return position, elbow, constraints.arm_state(frames, position, elbow, approaching=approaching)
+
+
+def test_where_an_arm_is_and_how_fast(cell):
+    bench = Bench(cell, np.random.default_rng(1), support=True)
+    model, data, arm = cell.model, bench.belief.data, bench.arm
+    data.qvel[:] = np.random.default_rng(2).normal(size=model.nv)
+    mujoco.mj_comVel(model, data)
+    position, elbow, (speed, *_) = state_of(bench.constraints, data, approaching=False)
+    twist = np.empty(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, arm.tool_site, twist, 0)
+    assert speed == pytest.approx(float(np.linalg.norm(twist[3:])), abs=ROUNDING)
+    np.testing.assert_array_equal(position, data.site_xpos[arm.tool_site])
+    assert arm.elbow_site is not None
+    np.testing.assert_array_equal(elbow, data.site_xpos[arm.elbow_site])
+
+
 def assert_rates_agree(watched: Watched, velocity, accel, found: Rates) -> None:
     rate = watched.jacobian @ velocity
     np.testing.assert_allclose(found.rate_m_s, rate, rtol=0, atol=ROUNDING)
@@ -116,7 +138,7 @@ def test_every_answer_of_a_share(
     averaged = constraints.pairs.averaged
     for approaching in (False, True):
         np.testing.assert_allclose(
-            constraints.surroundings(approaching=approaching),
+            state_of(constraints, bench.belief.data, approaching=approaching)[2][1:],
             rule.means(
                 watched.distance_m[averaged], watched.rate_m_s[averaged], approaching=approaching
             ),
@@ -213,7 +235,7 @@ def test_a_cell_without_pairs(cell):
         ik, belief, ArmPairs(none, none, none, np.zeros(0, dtype=bool)), support=True
     )
     assert isinstance(constraints, ArmConstraints)
-    assert constraints.surroundings(approaching=False) == (0.0, 0.0)
+    assert state_of(constraints, belief.data, approaching=False)[2][1:] == (0.0, 0.0)
     assert constraints.keeps(np.ones(7), cell.scenario.control)
     assert (
         constraints.allow(np.ones(7), np.ones(7), 0.002, cell.scenario.control).bound.factor == 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
+
 import mink
 import mujoco
 import numpy as np
@@ -20,8 +22,9 @@ from workcell.control.ik import (
     JointLimit,
     ToolTask,
     TtcLimit,
-    quadprog,
 )
+from workcell.control.ik.qp import ProgramSpace
+from workcell.control.ik.quadprog import KNOWN_VERSION
 from workcell.control.proximity import PairGeometry
 from workcell.motion.path import Target, standing
 from workcell.scene import cell as scene
@@ -278,7 +281,8 @@ def test_each_fallback_answers_where_the_one_before_cannot(bench):
 
 def test_a_solver_that_fails_on_every_fallback_stops_the_arm(bench, monkeypatch):
     bench.aim((0.1, 0.0, 0.0))
-    monkeypatch.setattr(quadprog, "bind", lambda *a: lambda: (np.ones(7), -1))
+    bench.ik.space.solver.addresses[0] = 0
+    monkeypatch.setattr("daqp.solve", lambda *a, **k: (np.ones(7), 0.0, -1, {}))
     solution = bench.solve()
     assert solution.status == STOPPED
     np.testing.assert_array_equal(solution.velocity_rad_s, 0.0)
@@ -286,28 +290,31 @@ def test_a_solver_that_fails_on_every_fallback_stops_the_arm(bench, monkeypatch)
 
 def test_a_solution_that_is_no_number_is_not_taken(bench, monkeypatch):
     bench.aim()
-    monkeypatch.setattr(quadprog, "bind", lambda *a: lambda: (np.full(7, np.nan), 1))
+    bench.ik.space.solver.addresses[0] = 0
+    monkeypatch.setattr("daqp.solve", lambda *a, **k: (np.full(7, np.nan), 0.0, 1, {}))
     assert bench.solve().status == STOPPED
 
 
-def test_the_c_function_answers_as_its_wrapper(monkeypatch):
+def test_the_c_function_answers_as_its_wrapper():
     """Bit for bit: solved, infeasible, and missed softly where that is all there is."""
-    rng = np.random.default_rng(3)
+    rng, answered = np.random.default_rng(3), 0
     for k in range(60):
-        root, rows = rng.normal(size=(7, 7)), rng.normal(size=(9, 7))
-        sense = np.zeros(16, dtype=np.intc)
-        sense[7:] = rng.choice([0, 8], size=9)
-        sense[15] = 5
-        low = np.concatenate([np.full(7, -1.0), rng.normal(0.0, 0.3 + k % 3, size=9)])
-        high = np.concatenate([np.ones(7), np.full(8, 1e30), low[-1:]])
-        program = root @ root.T + np.eye(7), rng.normal(size=7), rows, low, high, sense, 1e-9
-        direct, flag = quadprog.bind(*program)()
-        monkeypatch.setattr(quadprog, "_LIBRARY", None)
-        x, told = quadprog.bind(*program)()
-        monkeypatch.undo()
-        assert flag == told
-        if flag > 0:
-            np.testing.assert_array_equal(direct, x)
+        space, root = ProgramSpace(7), rng.normal(size=(7, 7))
+        space.H[...], space.c[...] = root @ root.T + np.eye(7), rng.normal(size=7)
+        space.rows[:9] = rng.normal(size=(9, 7))
+        space.lower[:16] = np.concatenate([np.full(7, -1.0), rng.normal(0.0, 0.3 + k % 3, size=9)])
+        space.upper[:16] = np.concatenate([np.ones(7), np.full(8, 1e30), space.lower[15:16]])
+        space.sense[7:15], space.sense[15] = rng.choice([0, 8], size=8), 5
+        space.smallest[...], space.largest[...] = -1.0, 1.0
+        direct = space.solve(9)
+        space.solver.addresses[0] = 0
+        through_wrapper = space.solve(9)
+        assert (direct is None) == (through_wrapper is None)
+        if direct is not None:
+            np.testing.assert_array_equal(direct, through_wrapper)
+            answered += 1
+    assert 20 < answered < 60
+    assert version("daqp") == KNOWN_VERSION, "see whether daqp's structures are still the same"
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik import ArmIk, IkSolution
-from workcell.control.laws import criteria, pair_rule, program, speed_scale, time_to_collision
+from workcell.control.ik.qp import SOLVER_TOLERANCE_RAD_S
+from workcell.control.laws import pair_rule, program, speed_scale, time_to_collision, tool_state
 from workcell.control.laws.pair_rule import TASK_SLACK_M_S
 from workcell.control.proximity import Proximity
 from workcell.control.scaling import AccelerationInterval, ScaleBound
@@ -193,6 +194,12 @@ class ArmConstraints:
         self._push = np.zeros((n, n)), np.zeros(n)
         self._nothing = np.zeros((n, n)), np.zeros(n)
         self._work, self._rates = np.zeros((4, answered)), np.zeros(len(watched.distance_m))
+        body = int(configuration.model.site_bodyid[self.arm.tool_site])
+        elbow = -1 if self.arm.elbow_site is None else self.arm.elbow_site
+        self._sites = (
+            self.arm.tool_site, body, int(configuration.model.body_rootid[body]), elbow,
+        )  # fmt: skip
+        """Site, body and root body of its tool, and the elbow's site."""
         self._keeping = _room_for_keeping(answered)
         ik.space.reserve(len(pairs.moved) + 6)
 
@@ -211,14 +218,24 @@ class ArmConstraints:
         """(R, n) rows of G of some pairs."""
         return self.watched.jacobian.take(pairs, axis=0).take(self.arm.dofs, axis=1)
 
-    def surroundings(self, *, approaching: bool) -> tuple[float, float]:
-        """ARTC in 1/s, signed or of what approaches, and ARMD in 1/m."""
-        artc, armd, bad = criteria.means(
-            self.watched.distance_m, self.watched.rate_m_s, self._averaged, approaching
-        )
+    def arm_state(
+        self, frames: tuple[Array, ...], position_m: Array, elbow_m: Array, *, approaching: bool
+    ) -> tuple[float, float, float]:
+        """The tool's speed in m/s, ARTC in 1/s, signed or of what approaches, and ARMD in 1/m.
+
+        Args:
+            frames: MuJoCo's `site_xpos`, `cvel` and `subtree_com`, after `mj_comVel`.
+            position_m: (3,) written: where the tool is.
+            elbow_m: (3,) written where the arm has an elbow.
+            approaching: Whether pairs that open count nothing in ARTC.
+        """
+        speed_m_s, artc, armd, bad = tool_state.arm_state(
+            *frames, *self._sites, self.watched.distance_m, self.watched.rate_m_s, self._averaged,
+            approaching, position_m, elbow_m,
+        )  # fmt: skip
         if bad >= 0:
             raise WorkcellError(f"watched pair {bad}: its distance or its rate is not finite")
-        return artc, armd
+        return speed_m_s, artc, armd
 
     def predict_others(self, *, static: bool) -> None:
         """Take `other_m_s` from what the other arms are predicted to do.
@@ -270,17 +287,19 @@ class ArmConstraints:
             wish = self._push
             wish[0][...], wish[1][...] = push.hessian, push.linear
         static = self.support and settings.variant == "static"
-        code, culprit, rows = program.arm_program(
+        settled = np.empty(space.n)
+        code, culprit, rows, answer = program.arm_program(
             watched.jacobian, watched.distance_m, watched.rate_m_s, self._hypotheses(static),
             self._foreign, self._moved, self._averaged, self._dof, self._task, self._qvel, kind,
             self.support, *wish, ik.criterion.gain, settings.t_min_s, settings.standoff_m,
             settings.d_min_m, ik.qpos, *ik.joints, self._before, ik.dt_s, ik.tool_rows,
             ik.tool_rates, ik.tool_count, self.other_m_s, self._rates, space.rows, space.bounds,
             space.smallest, space.largest, space.H, space.c, space.lower, space.upper, space.sense,
+            *space.solver, SOLVER_TOLERANCE_RAD_S, settled,
         )  # fmt: skip
         if code != program.FINE:
             raise FloatingPointError(self._not_finite(code, culprit))
-        return ik.solve_written(rows)
+        return ik.first_of(space.answered(answer, rows + ik.tool_count, settled), rows)
 
     def _not_finite(self, code: int, culprit: int) -> str:
         where = {

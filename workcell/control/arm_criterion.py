@@ -48,6 +48,9 @@ class ArmCriterion:
         self._options: Mapping[str, Mapping[str, Any]] = scenario.criterion
         self._made: dict[str, Any] = {}
         """By name, the number of one of our own or the function of one from outside."""
+        self._settings: Control | None = None
+        """Those for which `_kind` was looked up."""
+        self._kind = laws.NO_CRITERION
         later = [change.criterion for change in scenario.change if change.criterion]
         for name in {self._own or scenario.control.criterion, *([] if self._own else later)}:
             self._make(name)
@@ -58,8 +61,10 @@ class ArmCriterion:
 
     def kind(self, settings: Control) -> int:
         """Its number for the laws; `laws.criteria.GIVEN` for one from outside."""
-        made = self._make(self.name(settings))
-        return made if isinstance(made, int) else laws.GIVEN
+        if settings is not self._settings:
+            made = self._make(self.name(settings))
+            self._settings, self._kind = settings, made if isinstance(made, int) else laws.GIVEN
+        return self._kind
 
     def counts_approaching(self, settings: Control) -> bool:
         """Whether the ARTC that is logged counts only pairs that approach, as the criterion does."""

@@ -70,14 +70,15 @@ def _wrong(steering: Steering, n: int, pairs: int) -> str:
     """What is the matter with an answer; empty if nothing is."""
     if not isinstance(steering, Steering):
         return f"{type(steering).__name__}, must be a Steering"
-    for field in ("velocity_rad_s", "nominal_rad_s"):
-        value = getattr(steering, field)
+    for field, value in (
+        ("velocity_rad_s", steering.velocity_rad_s),
+        ("nominal_rad_s", steering.nominal_rad_s),
+    ):
         if not isinstance(value, np.ndarray) or value.shape != (n,):
             return f"{field} of shape {np.shape(value)}, must be ({n},)"
         if not all_finite(value):
             return f"{field} = {value.tolist()}, every entry must be finite"
-    for field in ("clock_rate", "scale"):
-        value = getattr(steering, field)
+    for field, value in (("clock_rate", steering.clock_rate), ("scale", steering.scale)):
         if not -1.0 <= value <= 1.0:
             return f"{field} = {value}, must be in [-1, 1]"
     if steering.mode not in MODES:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from workcell.control import gate
 from workcell.control.arm import ControlledArm
 from workcell.control.commanded import REASON as COMMANDED
+from workcell.control.laws import flight
 from workcell.control.sensing import Sensing
 from workcell.control.servo import LARGEST_LAG_RAD
 from workcell.control.strategy import ArmView
@@ -60,7 +61,7 @@ class _ArmGate:
     """What the gate needs of one support arm."""
 
     def __init__(self, cell: Cell, arm: ControlledArm, sensing: Sensing):
-        addresses, simulation = arm.addresses, cell.scenario.simulation
+        addresses = arm.addresses
         n = len(addresses.dofs)
         self._cell, self._arm, self._sensing = cell, arm, sensing
         self._limits = gate.JointLimits(
@@ -75,7 +76,6 @@ class _ArmGate:
         self._meeting_pairs: NDArray[np.intp] | None = None
         self._last_change = np.zeros(n)
         self._flight = _Flight(cell, arm)
-        self._uncertainty = NOISE_DEVIATIONS * simulation.position_noise_rad
         self._rules: gate.GateRules | None = None
         self._settings: Control | None = None
 
@@ -89,10 +89,7 @@ class _ArmGate:
             self._meeting_pairs = arm.meeting_pairs
             self._gate.meeting[...] = np.isin(self._gate.pair, arm.meeting_pairs)
         last, q = view.command_rad_s, view.q_rad
-        way = self._flight.way(q, last)
-        low, high = np.minimum(way, 0.0), np.maximum(way, 0.0)
-        if self._uncertainty:
-            low, high = low - self._uncertainty, high + self._uncertainty
+        low, high = self._flight.ahead(q, last)
         found = self._gate.answer(
             velocity_rad_s,
             gate.JointState(q, last, self._last_change, low, high),
@@ -136,9 +133,6 @@ class _ArmGate:
 class _Flight:
     """What joints have ahead of them before the next command acts: servo lag. (What is late, `delay.py` carries on.)
 
-    It is where the servos' references are, the sum of all commands, less where the joints are; but no
-    more than was commanded lately: what a standing joint sags below its reference is not ahead of it.
-
     Args:
         cell: The cell.
         arm: Its arm.
@@ -148,24 +142,21 @@ class _Flight:
         simulation, self._period_s = cell.scenario.simulation, cell.period_s
         n = len(arm.dofs)
         self._lately = np.zeros((max(1, round(SERVO_S / cell.period_s)), n))
-        self._place, self._total = 0, np.zeros(n)
-        self._reference: Array | None = None
+        self._place, self._begins = 0, True
         # The integral of a velocity servo's commands drifts away from its joint.
         drifts = [servo.kind != "position" for servo in arm.addresses.servos] or [False] * n
         self._drifts = np.array(drifts) & (simulation.plant == "dynamic")
-        self._any_drifts = bool(self._drifts.any())
+        self._uncertainty = NOISE_DEVIATIONS * simulation.position_noise_rad
+        self._total, self._reference, self._low, self._high = np.zeros((4, n))
+        self._q, self._last = np.zeros((2, n))
 
-    def way(self, q_rad: Array, last_rad_s: Array) -> Array:
-        """(n,) displacement from the present position (n,), after the last command (n,)."""
-        step = last_rad_s * self._period_s
-        lately, place = self._lately, self._place
-        self._total += np.abs(step) - np.abs(lately[place])
-        lately[place] = step
-        self._place = (place + 1) % len(lately)
-        most = np.maximum(self._total, 0.0)
-        reference = q_rad if self._reference is None else self._reference + step
-        way = reference - q_rad
-        lag = LARGEST_LAG_RAD + most
-        self._reference = q_rad + np.minimum(np.maximum(way, -lag), lag)
-        way = np.minimum(np.maximum(way, -most), most)
-        return np.where(self._drifts, 0.0, way) if self._any_drifts else way
+    def ahead(self, q_rad: Array, last_rad_s: Array) -> tuple[Array, Array]:
+        """(n,) smallest and largest displacement from the present position (n,), after the last command (n,); kept arrays."""
+        self._q[...], self._last[...] = q_rad, last_rad_s
+        flight.ahead(
+            self._q, self._last, self._period_s, self._lately, self._place, self._begins, self._drifts,
+            LARGEST_LAG_RAD, self._uncertainty, self._total, self._reference,
+            self._low, self._high,
+        )  # fmt: skip
+        self._place, self._begins = (self._place + 1) % len(self._lately), False
+        return self._low, self._high

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
 from workcell.control.arm_constraints import Watched
-from workcell.control.criteria import NullspaceObjective
 from workcell.control.tick import ArmSetpoint
 
 
@@ -27,15 +26,9 @@ def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None
     if setpoint.joints_rad_s is not None:
         hypotheses[0, arm.columns] = hypotheses[2, arm.columns] = setpoint.joints_rad_s
         return
-    task = setpoint.task_rad_s
-    followed = arm.ik.followed(arm.configuration, command, task)
-    hypotheses[0, arm.columns] = hypotheses[2, arm.columns] = followed
-    if not np.array_equal(followed, task):
-        # Joint by joint is not how the arm itself will give way to its limits.
-        n = len(task)
-        nothing = NullspaceObjective.nothing(n)
-        found = arm.ik.solve(arm.configuration, command, nothing, np.zeros((0, n)), np.zeros(0))
-        hypotheses[2, arm.columns] = found.velocity_rad_s
+    # Joint by joint is not how the arm itself will give way to its limits.
+    followed, given_way = arm.ik.predicted(arm.configuration, command, setpoint.task_rad_s)
+    hypotheses[0, arm.columns], hypotheses[2, arm.columns] = followed, given_way
 
 
 def settle(watched: Watched, arm: ControlledArm, command_rad_s: NDArray[np.float64]) -> None:

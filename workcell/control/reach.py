@@ -73,6 +73,13 @@ class Reach:
         """How long the target has been back in reach."""
         self._damping = 1.0
 
+    def has_reached(self, errors: tuple[float, float]) -> bool:
+        """Whether the tool is where it is wanted, by its errors in m and rad, and nothing has to be looked for."""
+        reached = not self._out and errors[0] <= REACHED_M and errors[1] <= REACHED_RAD
+        if reached:
+            self._nearest = None
+        return reached
+
     def follow(
         self,
         configuration: mink.Configuration,
@@ -93,8 +100,7 @@ class Reach:
             box: (n,) and (n,) smallest and largest velocity that the joints can have next.
             eased: Whether the joints can do what following the error asks.
         """
-        if not self._out and errors[0] <= REACHED_M and errors[1] <= REACHED_RAD:
-            self._nearest = None
+        if self.has_reached(errors):
             return None
         share = LEFT_SHARE if self._out else 1.0
         left_m, left_rad = self._search(configuration, target, task)

@@ -24,8 +24,6 @@ from workcell.control.tick import ArmSensed, Sensed
 from workcell.scenario import Control
 from workcell.scene.cell import Cell
 
-_SITE = mujoco.mjtObj.mjOBJ_SITE
-
 
 class Sensing:
     """The belief of one controller, and what it says of the watched pairs.
@@ -42,8 +40,8 @@ class Sensing:
         self.belief.update()
         data = self.belief.data
         # MuJoCo's arrays never move; asking for them anew each tick takes as long as using them.
-        self._site_xpos, self._site_xmat = data.site_xpos, data.site_xmat
-        self._twist = np.empty(6)
+        self._site_xmat, self._qvel = data.site_xmat, data.qvel
+        self._frames = data.site_xpos, data.cvel, data.subtree_com
         self._delay = Delay(cell)
         self._still = np.zeros(cell.model.nv)
         self._geometry = PairGeometry(
@@ -78,7 +76,7 @@ class Sensing:
         told_qpos, told_qvel = qpos, qvel
         qpos, qvel = self._delay.now(qpos, qvel, last_rad_s)
         belief, watched = self.belief, self.watched
-        belief.data.qvel[:] = qvel
+        self._qvel[:] = qvel
         belief.update(qpos)
         mujoco.mj_comVel(self._model, belief.data)
         mujoco.mj_sensorPos(self._model, belief.data)
@@ -113,19 +111,13 @@ class Sensing:
 
     def look_at(self, arm: ControlledArm, settings: Control) -> ArmSensed:
         """Where an arm's tool is, and how near its surroundings are on average."""
-        addresses, wxyz = arm.addresses, np.empty(4)
-        site = addresses.tool_site
-        mujoco.mj_objectVelocity(self._model, self.belief.data, _SITE, site, self._twist, 0)
-        mujoco.mju_mat2Quat(wxyz, self._site_xmat[site])
-        artc, armd = arm.constraints.surroundings(
-            approaching=arm.criterion.counts_approaching(settings)
+        wxyz, position = np.empty(4), np.empty(3)
+        elbow = None if arm.addresses.elbow_site is None else np.empty(3)
+        mujoco.mju_mat2Quat(wxyz, self._site_xmat[arm.addresses.tool_site])
+        speed_m_s, artc, armd = arm.constraints.arm_state(
+            self._frames,
+            position,
+            position if elbow is None else elbow,
+            approaching=arm.criterion.counts_approaching(settings),
         )
-        elbow = addresses.elbow_site
-        return ArmSensed(
-            tool_position_m=self._site_xpos[site].copy(),
-            tool_wxyz=wxyz,
-            tool_speed_m_s=math.hypot(*self._twist[3:].tolist()),
-            elbow_position_m=None if elbow is None else self._site_xpos[elbow].copy(),
-            artc_per_s=artc,
-            armd_per_m=armd,
-        )
+        return ArmSensed(position, wxyz, speed_m_s, elbow, artc, armd)

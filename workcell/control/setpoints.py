@@ -125,6 +125,8 @@ class Setpoints:
         self, arm: ControlledArm, reach: Reach, target: Target, task_rad_s: np.ndarray
     ) -> OutOfReach | None:
         """What to do with a target that cannot be reached; None for one that can."""
+        if reach.has_reached(arm.ik.tool_error):
+            return None
         last, here = arm.memory.command_rad_s, arm.configuration
         return reach.follow(
             here,

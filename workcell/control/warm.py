@@ -61,5 +61,6 @@ def _rare_programs(cell: scene.Cell, belief: mink.Configuration) -> None:
     ik = ArmIk(arm, nv=cell.model.nv, dt_s=1.0, task_gain_per_s=1.0, criterion_gain=1.0)
     still, rows = np.zeros(n), (np.zeros((1, n)), np.zeros(1))
     ik.followed(belief, still, still)
+    ik.predicted(belief, still, still)
     ik.evade(belief, still, still, *rows)
     ik.solve(belief, still, NullspaceObjective.nothing(n), *rows)

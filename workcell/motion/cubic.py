@@ -34,10 +34,8 @@ class Cubic:
     def value_and_slope(self, at: float) -> tuple[list[float], list[float]]:
         """(C,) the curve at a place and (C,) its derivative there; beyond an end, those of the end."""
         t, piece = self._piece(at)
-        value, slope = [], []
-        for a, b, c, d in piece:
-            value.append(((a * t + b) * t + c) * t + d)
-            slope.append((3.0 * a * t + 2.0 * b) * t + c)
+        value = [((a * t + b) * t + c) * t + d for a, b, c, d in piece]
+        slope = [(3.0 * a * t + 2.0 * b) * t + c for a, b, c, _ in piece]
         return value, slope
 
     def _piece(self, at: float) -> tuple[float, list[list[float]]]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+import daqp
 import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.finite import all_finite
 from workcell.control.ik import quadprog
+from workcell.control.laws import joint_limits
+from workcell.control.laws import quadprog as laws
 
 SOLVER_TOLERANCE_RAD_S = 1e-9
 """How far a constraint may be missed; far below what an encoder sees."""
@@ -32,14 +34,6 @@ class Program:
     """(n + R,)"""
     sense: NDArray[np.intc]
     """(n + R,) daqp's marks; see `laws.program`."""
-    solve: Callable[[], tuple[NDArray[np.float64], int]] = field(init=False, repr=False)
-    """Solves what stands in the arrays then; see `quadprog.bind`."""
-
-    def __post_init__(self) -> None:
-        solve = quadprog.bind(
-            self.H, self.c, self.rows, self.lower, self.upper, self.sense, SOLVER_TOLERANCE_RAD_S
-        )
-        object.__setattr__(self, "solve", solve)
 
 
 class ProgramSpace:
@@ -61,27 +55,59 @@ class ProgramSpace:
         """(room, n) rows and (room,) the smallest rate of those that stand for pairs."""
         self.lower, self.upper = np.zeros(self.n + rows), np.zeros(self.n + rows)
         self.sense = np.zeros(self.n + rows, dtype=np.intc)
-        self._programs: dict[int, Program] = {}
+        self.solver, self._kept = quadprog.solver(
+            self.H, self.c, self.rows, self.lower, self.upper, self.sense, SOLVER_TOLERANCE_RAD_S
+        )
+        """What `laws.quadprog.solve` is given."""
 
     def reserve(self, rows: int) -> None:
         """Make room for this many rows; what was written is lost where the room was too small."""
         if rows > len(self.rows):
             self._grow(2 * rows)
 
-    def program(self, rows: int) -> Program:
-        """The program that was written, which has this many rows."""
-        program = self._programs.get(rows)
-        if program is None:
+    def solve(self, rows: int) -> NDArray[np.float64] | None:
+        """(n,) the solution of the program that was written with this many rows, settled in its box; None without one."""
+        settled = np.empty(self.n)
+        answer = laws.solve(
+            *self.solver,
+            self.n + rows,
+            self.smallest,
+            self.largest,
+            SOLVER_TOLERANCE_RAD_S,
+            settled,
+        )
+        return self.answered(answer, rows, settled)
+
+    def answered(
+        self, answer: int, rows: int, settled: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """What `laws.quadprog.solve` has answered and written (n,); where it could not ask, the wrapper is asked."""
+        if answer == laws.NOT_ASKED:
             m = self.n + rows
-            program = self._programs[rows] = Program(
-                self.H, self.c, self.rows[:rows], self.lower[:m], self.upper[:m], self.sense[:m]
+            x = solution(
+                Program(
+                    self.H, self.c, self.rows[:rows], self.lower[:m], self.upper[:m], self.sense[:m]
+                )
             )
-        return program
+            if x is None:
+                return None
+            self.solver.x[...] = x
+            joint_limits.settle(x, self.smallest, self.largest, SOLVER_TOLERANCE_RAD_S, settled)
+            return settled
+        return settled if answer == laws.ANSWERED else None
 
 
 def solution(program: Program) -> NDArray[np.float64] | None:
-    """(n,) what daqp finds, good until the same program is solved again; None where there is no acceptable solution."""
-    velocity, flag = program.solve()
+    """(n,) what daqp's wrapper finds; None where there is no acceptable solution."""
+    velocity, _, flag, _ = daqp.solve(
+        program.H,
+        program.c,
+        program.rows,
+        program.upper,
+        program.lower,
+        program.sense,
+        primal_tol=SOLVER_TOLERANCE_RAD_S,
+    )
     if flag not in (_SOLVED, _SOLVED_SOFT) or not all_finite(velocity):
         return None
     return velocity

@@ -7,9 +7,9 @@ other structures: its programs go through the wrapper `daqp.solve`, with the sam
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from functools import cache
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
@@ -54,53 +54,55 @@ class _Result(ctypes.Structure):
     ]
 
 
-def _library() -> ctypes.CDLL | None:
-    return ctypes.CDLL(daqp.__file__) if version("daqp") == KNOWN_VERSION else None
+class Solver(NamedTuple):
+    """What `laws.quadprog.solve` is given of one kept program."""
+
+    addresses: NDArray[np.int64]
+    """(4,) of the function, the result, the problem and the settings; the first is 0 if daqp has another version."""
+    problem: NDArray[np.int32]
+    """The problem's structure as words."""
+    result: NDArray[np.int32]
+    """The result's."""
+    x: Array
+    """(n,) the solution."""
 
 
-_LIBRARY = _library()
-
-
-def bind(
-    H: Array, c: Array, rows: Array, lower: Array, upper: Array, sense: NDArray[np.intc], tol: float
-) -> Callable[[], tuple[Array, int]]:
-    """What solves the program that stands in these arrays whenever it is called; see `qp.Program`.
+def solver(
+    H: Array,
+    c: Array,
+    rows: Array,
+    lower: Array,
+    upper: Array,
+    sense: NDArray[np.intc],
+    tolerance: float,
+) -> tuple[Solver, tuple[Any, ...]]:
+    """A solver of programs that stand in these arrays, C-contiguous, which must outlive it.
 
     Args:
         H, c: (n, n), (n,).
-        rows: (R, n).
-        lower, upper, sense: (n + R,), the box on the unknowns first.
-        tol: By how much a constraint may be missed.
+        rows: (room, n).
+        lower, upper, sense: (n + room,), the box on the unknowns first.
+        tolerance: By how much a constraint may be missed.
 
     Returns:
-        A function; it answers with (n,) the solution, good until its next call, and daqp's exit flag.
+        It, and what must be kept as long as it is used.
     """
-    arrays = H, c, rows, upper, lower, sense
-    if _LIBRARY is None or not all(map(_fits, arrays, 5 * (np.float64,) + (np.intc,))):
-
-        def through_wrapper() -> tuple[Array, int]:
-            x, _, flag, _ = daqp.solve(*arrays, primal_tol=tol)
-            return x, flag
-
-        return through_wrapper
-    x, multipliers = np.zeros(len(c)), np.zeros(len(lower))
-    at: list[Any] = [array.ctypes.data if array.size else None for array in arrays]
-    problem = _Problem(len(c), len(lower), len(lower) - len(rows), *at, None, 0, 0)
+    n = len(c)
+    x, multipliers = np.zeros(n), np.zeros(len(lower))
+    at = [array.ctypes.data for array in (H, c, rows, upper, lower, sense)]
+    problem = _Problem(n, len(lower), n, *at, None, 0, 0)
     settings, result = _Settings(), _Result(x.ctypes.data, multipliers.ctypes.data)
-    _LIBRARY.daqp_default_settings(ctypes.byref(settings))
-    settings.primal_tol = tol
-    solve = _LIBRARY.daqp_quadprog
-    arguments = ctypes.byref(result), ctypes.byref(problem), ctypes.byref(settings)
-    kept = arrays, multipliers
-
-    def directly() -> tuple[Array, int]:
-        assert kept  # the function holds on to what its structures point at
-        solve(*arguments)
-        return x, result.exitflag
-
-    return directly
+    addresses = np.zeros(4, dtype=np.int64)
+    library = _library()
+    if library is not None:
+        library.daqp_default_settings(ctypes.byref(settings))
+        settings.primal_tol = tolerance
+        function = ctypes.cast(library.daqp_quadprog, _pointer).value
+        addresses[:] = function, *map(ctypes.addressof, (result, problem, settings))
+    words = [np.frombuffer(each, dtype=np.int32) for each in (problem, result)]
+    return Solver(addresses, *words, x), (problem, result, settings, multipliers)
 
 
-def _fits(array: NDArray[Any], kind: type) -> bool:
-    """Whether C can read an array where it is."""
-    return array.dtype == kind and array.flags.c_contiguous
+@cache
+def _library() -> ctypes.CDLL | None:
+    return ctypes.CDLL(daqp.__file__) if version("daqp") == KNOWN_VERSION else None

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from workcell.control.criteria import NullspaceObjective
 from workcell.control.ik.mink_tasks import CriterionTask, JointLimit, ToolTask, TtcLimit
-from workcell.control.ik.qp import SOLVER_TOLERANCE_RAD_S, ProgramSpace, solution
+from workcell.control.ik.qp import SOLVER_TOLERANCE_RAD_S, ProgramSpace
 from workcell.control.laws import joint_limits, program, tool_task
 from workcell.motion.orientation import pointing, turned_towards
 from workcell.motion.path import TURN_LENGTH_M_PER_RAD, Target
@@ -231,30 +231,64 @@ class ArmIk:
             raise FloatingPointError(
                 f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
             )
-        return self.solve_written(pairs)
+        return self.first_of(space.solve(pairs + self.tool_count), pairs)
 
-    def solve_written(self, pairs: int) -> IkSolution:
-        """Solve the full program that was written into `space` with so many rows of pairs, else weaker ones.
+    def first_of(self, velocity: Array | None, pairs: int) -> IkSolution:
+        """The full program's solution (n,); without one, that of a weaker program with so many rows of pairs.
 
         Weaker are: no criterion and rows that may be missed; then a tool that gives way, too; then to stop.
         """
+        if velocity is not None:
+            return IkSolution(velocity, OPTIMAL)
         space, tool = self.space, self.tool_count
-        velocity, status = solution(space.program(pairs + tool)), OPTIMAL
-        if velocity is None:
-            space.H[...], space.c[...] = np.eye(space.n), 0.0
-            status = TASK_ONLY
-            if self._constrain(pairs, program.SOFT, tool):
-                velocity = solution(space.program(pairs + tool))
-        if velocity is None:
-            rows, rates = self.tool_rows[:tool], self.tool_rates[:tool]
-            weighted = SOFT_TASK_COST**2 * rows.T
-            space.H[...], space.c[...] = np.eye(space.n) + weighted @ rows, -weighted @ rates
-            status = TASK_SOFT
-            if self._constrain(pairs, program.SOFT, 0):
-                velocity = solution(space.program(pairs))
-        if velocity is None:
-            velocity, status = np.zeros(space.n), STOPPED
-        return IkSolution(self._settled(velocity), status)
+        space.H[...], space.c[...] = np.eye(space.n), 0.0
+        if self._constrain(pairs, program.SOFT, tool):
+            velocity = space.solve(pairs + tool)
+        if velocity is not None:
+            return IkSolution(velocity, TASK_ONLY)
+        rows, rates = self.tool_rows[:tool], self.tool_rates[:tool]
+        weighted = SOFT_TASK_COST**2 * rows.T
+        space.H[...], space.c[...] = np.eye(space.n) + weighted @ rows, -weighted @ rates
+        if self._constrain(pairs, program.SOFT, 0):
+            velocity = space.solve(pairs)
+        if velocity is not None:
+            return IkSolution(velocity, TASK_SOFT)
+        stopped = np.empty(space.n)
+        joint_limits.settle(
+            np.zeros(space.n), space.smallest, space.largest, SOLVER_TOLERANCE_RAD_S, stopped
+        )
+        return IkSolution(stopped, STOPPED)
+
+    def predicted(
+        self, configuration: mink.Configuration, previous_rad_s: Array, wanted_rad_s: Array
+    ) -> tuple[Array, Array]:
+        """(n,) and (n,) what the joints make of what the last `aim` asks for, after a previous velocity (n,).
+
+        First joint by joint, then by the least motion within their limits that moves the tool as asked, which is the
+        same where the limits cut nothing off.
+
+        Raises:
+            FloatingPointError: A number is not finite.
+        """
+        self.take(configuration)
+        self._before[...], self._wanted[...] = previous_rad_s, wanted_rad_s
+        space = self.space
+        followed, settled = np.empty((2, space.n))
+        code, joint, whole, answer = program.predicted_motion(
+            self.qpos, *self.joints, self._before, self.dt_s, self._wanted, self.tool_rows,
+            self.tool_rates, self.tool_count, space.rows, space.bounds, space.smallest,
+            space.largest, space.H, space.c, space.lower, space.upper, space.sense, followed,
+            *space.solver, SOLVER_TOLERANCE_RAD_S, settled,
+        )  # fmt: skip
+        self._refuse(joint)
+        if code != program.FINE:
+            raise FloatingPointError(
+                f"arm {self.arm.name}: the inverse kinematics was given a number that is not finite"
+            )
+        if whole:
+            return followed, followed
+        found = self.first_of(space.answered(answer, self.tool_count, settled), 0)
+        return followed, found.velocity_rad_s
 
     def followed(
         self, configuration: mink.Configuration, previous_rad_s: Array, wanted_rad_s: Array
@@ -325,13 +359,13 @@ class ArmIk:
         if hard is not None and hard.any():
             marks = space.sense[space.n : space.n + pairs]
             marks[hard] = program.HARD
-            velocity = solution(space.program(pairs))
+            velocity = space.solve(pairs)
             if velocity is None:
                 velocity = self._least_missed(preferred_rad_s, rows, smallest_rate_m_s, hard)
         if velocity is None:
             space.sense[space.n : space.n + pairs] = program.SOFT
-            velocity = solution(space.program(pairs))
-        return None if velocity is None else self._settled(velocity)
+            velocity = space.solve(pairs)
+        return velocity
 
     def _least_missed(
         self, preferred_rad_s: Array, rows: Array, smallest_rate_m_s: Array, hard: NDArray[np.bool_]
@@ -345,15 +379,16 @@ class ArmIk:
         # Alone, and pulled by nothing but the least miss: any preferred motion would be paid for with more of it.
         space.c[...] = 0.0
         space.H[...] = LEAST_PULL * np.eye(space.n)
-        least = solution(space.program(pairs))
+        least = None if space.solve(pairs) is None else space.solver.x
         space.c[...], space.H[...] = np.negative(preferred_rad_s), np.eye(space.n)
         bounds[...] = smallest_rate_m_s
         if least is None:
             return None
+        # Not as settled in the box: a hard row must be one that the solver itself can keep.
         within = rows[hard] @ least - 10.0 * SOLVER_TOLERANCE_RAD_S
         bounds[hard] = np.minimum(smallest_rate_m_s[hard], within)
         marks[hard] = program.HARD
-        return solution(space.program(pairs))
+        return space.solve(pairs)
 
     def _boxed(
         self,
@@ -383,14 +418,6 @@ class ArmIk:
             space.H, space.c, space.smallest, space.largest, space.bounds, pairs, mark,
             self.tool_rows, self.tool_rates, tool, space.rows, space.lower, space.upper, space.sense,
         )  # fmt: skip
-
-    def _settled(self, velocity: Array) -> Array:
-        """The solver keeps inequalities to a tolerance; the joint limits are meant exactly."""
-        settled = np.empty(self.space.n)
-        joint_limits.settle(
-            velocity, self.space.smallest, self.space.largest, SOLVER_TOLERANCE_RAD_S, settled
-        )
-        return settled
 
     def _refuse(self, joint: int) -> None:
         """Name the joint that a law has found not to be finite; -1 is none."""

@@ -20,6 +20,7 @@ from workcell.control.laws.criteria import (
 )
 from workcell.control.laws.joint_limits import joint_box
 from workcell.control.laws.pair_rule import predicted_rates, self_motion_rows
+from workcell.control.laws.quadprog import NO_ANSWER, solve
 
 FINE, PAIR_NOT_FINITE, JOINT_NOT_FINITE, PROGRAM_NOT_FINITE = 0, 1, 2, 3
 """What is answered: all is well; the pair or joint that follows has a number that is not finite; the program has one."""
@@ -88,9 +89,9 @@ def arm_program(
     jacobian, distance, rate, velocities, foreign, moved, averaged, dof, task, qvel, kind, own_rates,
     push_hessian, push, gain, t_min, standoff, d_min, qpos, address, lower_rad, upper_rad, fastest, acceleration,
     previous, period, tool_rows, tool_rates, tool, other, work, rows, bounds, smallest, largest, H, c,
-    lower, upper, sense,
+    lower, upper, sense, addresses, problem, result, x, tolerance, settled,
 ):  # fmt: skip
-    """An arm's program from the state of the cell: what the others may do, the criterion, the rule, the tool.
+    """An arm's program from the state of the cell, solved: what the others may do, the criterion, the rule, the tool.
 
     Args:
         jacobian, distance, rate: G (P, nv), d (P,), d' (P,).
@@ -111,13 +112,14 @@ def arm_program(
         other: (P,) written: rates that the others may cause.
         work: (P,) for use inside.
         rows, bounds, smallest, largest, H, c, lower, upper, sense: The program, written; see `constrain`.
+        addresses, problem, result, x, tolerance, settled: As in `quadprog.solve`.
 
     Returns:
-        A code with the pair or joint that it is about, and how many pairs have rows.
+        A code with the pair or joint that it is about, how many pairs have rows, and the solver's answer.
     """
     bad = predicted_rates(jacobian, moved, foreign, velocities, other)
     if bad >= 0:
-        return PAIR_NOT_FINITE, bad, 0
+        return PAIR_NOT_FINITE, bad, 0, NO_ANSWER
     closing = rate
     if kind == ARTC_HELD:
         closing = work[: len(rate)]
@@ -135,27 +137,80 @@ def arm_program(
             closing[pair] = own
     bad = objective(kind, jacobian, distance, closing, other, averaged, dof, H, c)
     if bad >= 0:
-        return PAIR_NOT_FINITE, bad, 0
+        return PAIR_NOT_FINITE, bad, 0, NO_ANSWER
     if kind in (NO_CRITERION, GIVEN):
         H[:, :], c[:] = push_hessian, push
     if kind != NO_CRITERION and gain != 0.0:
         bad = push_from_stops(qpos, address, lower_rad, upper_rad, gain, c)
         if bad >= 0:
-            return JOINT_NOT_FINITE, bad, 0
+            return JOINT_NOT_FINITE, bad, 0, NO_ANSWER
     least_motion(gain, H, c)
     count, bad = self_motion_rows(
         jacobian, distance, other, moved, dof, task, fastest, t_min, standoff, d_min, rows, bounds
     )
     if bad >= 0:
-        return PAIR_NOT_FINITE, bad, 0
+        return PAIR_NOT_FINITE, bad, 0, NO_ANSWER
     bad = joint_box(
         qpos, address, lower_rad, upper_rad, fastest, acceleration, previous, period, smallest,
         largest,
     )  # fmt: skip
     if bad >= 0:
-        return JOINT_NOT_FINITE, bad, 0
+        return JOINT_NOT_FINITE, bad, 0, NO_ANSWER
     sound = constrain(
         H, c, smallest, largest, bounds, count, HARD, tool_rows, tool_rates, tool, rows, lower,
         upper, sense,
     )  # fmt: skip
-    return FINE if sound else PROGRAM_NOT_FINITE, -1, count
+    if not sound:
+        return PROGRAM_NOT_FINITE, -1, count, NO_ANSWER
+    answer = solve(
+        addresses, problem, result, x, len(c) + count + tool, smallest, largest, tolerance, settled
+    )
+    return FINE, -1, count, answer
+
+
+@law
+def predicted_motion(
+    qpos, address, lower_rad, upper_rad, fastest, acceleration, previous, period, wanted, tool_rows,
+    tool_rates, tool, rows, bounds, smallest, largest, H, c, lower, upper, sense, followed,
+    addresses, problem, result, x, tolerance, settled,
+):  # fmt: skip
+    """What an arm does of a wanted velocity: joint by joint, and by the least motion that moves the tool as asked.
+
+    Args:
+        qpos, address, lower_rad, upper_rad, fastest, acceleration, previous, period: Of `joint_limits.joint_box`.
+        wanted: (n,).
+        tool_rows, tool_rates, tool: Of `constrain`.
+        rows, bounds, smallest, largest, H, c, lower, upper, sense: The program, written; see `constrain`.
+        followed: (n,) written: what each joint's limits let through.
+        addresses, problem, result, x, tolerance, settled: As in `quadprog.solve`; asked only where the limits cut something off.
+
+    Returns:
+        A code with the joint that it is about, whether nothing is cut off, and the solver's answer.
+    """
+    bad = joint_box(
+        qpos, address, lower_rad, upper_rad, fastest, acceleration, previous, period, smallest,
+        largest,
+    )  # fmt: skip
+    if bad >= 0:
+        return JOINT_NOT_FINITE, bad, False, NO_ANSWER
+    whole = True
+    for k in range(len(wanted)):
+        if not math.isfinite(wanted[k]):
+            return JOINT_NOT_FINITE, k, False, NO_ANSWER
+        followed[k] = min(max(wanted[k], smallest[k]), largest[k])
+        whole = whole and followed[k] == wanted[k]
+    if whole:
+        return FINE, -1, True, NO_ANSWER
+    for k in range(len(c)):
+        c[k] = 0.0
+        for m in range(len(c)):
+            H[k, m] = 1.0 if k == m else 0.0
+    if not constrain(
+        H, c, smallest, largest, bounds, 0, HARD, tool_rows, tool_rates, tool, rows, lower, upper,
+        sense,
+    ):  # fmt: skip
+        return PROGRAM_NOT_FINITE, -1, False, NO_ANSWER
+    answer = solve(
+        addresses, problem, result, x, len(c) + tool, smallest, largest, tolerance, settled
+    )
+    return FINE, -1, False, answer
