@@ -109,13 +109,13 @@ def test_no_point_is_faster_than_the_cap(tmp_path):
 
 
 def flown(tmp_path, behind: int, ticks: int = 60):
-    """Way ahead of the nurse's joints at each tick, and how far they really have to go: servos that many ticks behind."""
+    """Way ahead of the nurse's joints at each tick (one end of its interval is 0), and how far they really have to go: servos that many ticks behind."""
     cell = cells.build(tmp_path, cells.duet())
     arm = next(a for a in Controller(cell)._arms if a.name == "nurse")
     flight, q, last = _Flight(cell, arm), [arm.addresses.home_rad], np.zeros(3)
     for k in range(ticks):
-        way = flight.way(q[max(0, k - behind)], last)
-        yield way, q[k] - q[max(0, k - behind)]
+        low, high = flight.ahead(q[max(0, k - behind)], last)
+        yield low + high, q[k] - q[max(0, k - behind)]
         last = np.array([0.3, -0.2, 0.1]) * np.sin(0.2 * k)
         q.append(q[k] + cell.period_s * last)
 
@@ -130,8 +130,8 @@ def test_a_joint_that_sags_while_it_stands_has_nothing_ahead(tmp_path):
     cell = cells.build(tmp_path, cells.duet())
     arm = next(a for a in Controller(cell)._arms if a.name == "nurse")
     flight, home = _Flight(cell, arm), arm.addresses.home_rad
-    flight.way(home, np.zeros(3))
-    np.testing.assert_array_equal(flight.way(home - 0.01, np.zeros(3)), 0.0)
+    flight.ahead(home, np.zeros(3))
+    np.testing.assert_array_equal(flight.ahead(home - 0.01, np.zeros(3)), 0.0)
 
 
 def test_a_held_instrument_is_gated_as_a_part_of_the_hand(tmp_path):

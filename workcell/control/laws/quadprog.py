@@ -28,8 +28,8 @@ _SOLVED, _SOLVED_SOFT = 1, 2  # daqp's exit flags: optimal; optimal with a soft 
 
 def _call_interpreted(function: int, result: int, problem: int, settings: int) -> None:
     """The C function at an address with three pointers."""
-    pointer = ctypes.c_void_p
-    ctypes.CFUNCTYPE(None, pointer, pointer, pointer)(function)(result, problem, settings)
+    kind = ctypes.CFUNCTYPE(None, *3 * (ctypes.c_void_p,))
+    kind(int(function))(int(result), int(problem), int(settings))
 
 
 @intrinsic
