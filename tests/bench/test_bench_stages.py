@@ -36,7 +36,7 @@ STAGES = (
     ("distance, normal, G", PairGeometry, "measure"),
     ("rates, first-order times", Watched, "rates"),
     ("d̈", sensing, "second_order"),
-    ("criterion: its values", ArmConstraints, "surroundings"),
+    ("tool state and criterion: its values", ArmConstraints, "arm_state"),
     ("inverse kinematics: target", ArmIk, "aim"),
     ("inverse kinematics: criterion, rows, program", ArmConstraints, "solve"),
     ("scaling: factor and joints' reach", ArmConstraints, "allow"),

@@ -80,7 +80,10 @@ def approaching_only(monkeypatch, duet):
     def solve(law, self, previous, task, qvel, settings, kind, push=None):
         return law(self, previous, task, qvel, settings, KINDS["artc_approaching"], push)
 
-    changed(monkeypatch, "surroundings", lambda law, self, approaching: law(self, approaching=True))
+    def state(law, self, *arguments, approaching):
+        return law(self, *arguments, approaching=True)
+
+    changed(monkeypatch, "arm_state", state)
     changed(monkeypatch, "solve", solve)
 
 
