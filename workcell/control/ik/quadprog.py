@@ -97,10 +97,14 @@ def solver(
     if library is not None:
         library.daqp_default_settings(ctypes.byref(settings))
         settings.primal_tol = tolerance
-        function = ctypes.cast(library.daqp_quadprog, _pointer).value
+        function = ctypes.cast(library.daqp_quadprog, _pointer).value or 0
         addresses[:] = function, *map(ctypes.addressof, (result, problem, settings))
-    words = [np.frombuffer(each, dtype=np.int32) for each in (problem, result)]
-    return Solver(addresses, *words, x), (problem, result, settings, multipliers)
+    kept = problem, result, settings, multipliers
+    return Solver(addresses, _words(problem), _words(result), x), kept
+
+
+def _words(structure: Any) -> NDArray[np.int32]:
+    return np.frombuffer(structure, dtype=np.int32)
 
 
 @cache

@@ -48,7 +48,7 @@ def _call_compiled(_context: Any, function: Any, result: Any, problem: Any, sett
     return types.void(types.int64, types.int64, types.int64, types.int64), build
 
 
-_call = _call_interpreted if arithmetic() == "interpreted" else _call_compiled
+_call: Any = _call_interpreted if arithmetic() == "interpreted" else _call_compiled
 
 
 @law
