@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from types import FrameType
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from workcell.control import laws
 from workcell.control.finite import all_finite
 from workcell.control.outcome import MODES
+from workcell.control.strategy import ArmView
 from workcell.control.tick import Steering
 from workcell.errors import ControlFault, WorkcellError
 
@@ -36,7 +37,7 @@ class StrategyFault(WorkcellError):
 
 
 def ask(
-    name: str, arm: str, answer: Callable[[], Steering], *, n: int, pairs: int, timed: bool
+    name: str, arm: str, answer: Callable[[ArmView], Steering], view: ArmView, *, timed: bool
 ) -> Steering:
     """A strategy's answer, checked.
 
@@ -44,23 +45,25 @@ def ask(
         name: Of the strategy, for the message.
         arm: Whose.
         answer: Calls the strategy.
-        n: Joints of the arm.
-        pairs: Watched pairs of the cell.
+        view: What it is given.
         timed: Whether to interrupt a strategy that hangs; built-in ones do not.
 
     Raises:
         StrategyFault: The answer cannot be used; the message names strategy, arm and what is wrong.
     """
     try:
-        with _time_limit() if timed else nullcontext():
-            steering = answer()
+        if timed:
+            with _time_limit():
+                steering = answer(view)
+        else:
+            steering = answer(view)
     except ControlFault:
         raise  # the state itself is broken, which is not the strategy's fault
     except Exception as error:
         raise StrategyFault(
             f"strategy {name!r} of arm {arm} raised {type(error).__name__}: {error}"
         ) from error
-    wrong = _wrong(steering, n, pairs)
+    wrong = _wrong(steering, len(view.dofs), len(view.distance_m))
     if wrong:
         raise StrategyFault(f"strategy {name!r} of arm {arm} answered with {wrong}")
     return steering
@@ -70,17 +73,21 @@ def _wrong(steering: Steering, n: int, pairs: int) -> str:
     """What is the matter with an answer; empty if nothing is."""
     if not isinstance(steering, Steering):
         return f"{type(steering).__name__}, must be a Steering"
+    checked = None
     for field, value in (
         ("velocity_rad_s", steering.velocity_rad_s),
         ("nominal_rad_s", steering.nominal_rad_s),
     ):
+        if value is checked:
+            continue  # an arm that nothing slows down
+        checked = value
         if not isinstance(value, np.ndarray) or value.shape != (n,):
             return f"{field} of shape {np.shape(value)}, must be ({n},)"
         if not all_finite(value):
             return f"{field} = {value.tolist()}, every entry must be finite"
-    for field, value in (("clock_rate", steering.clock_rate), ("scale", steering.scale)):
-        if not -1.0 <= value <= 1.0:
-            return f"{field} = {value}, must be in [-1, 1]"
+    for field, share in (("clock_rate", steering.clock_rate), ("scale", steering.scale)):
+        if not -1.0 <= share <= 1.0:
+            return f"{field} = {share}, must be in [-1, 1]"
     if steering.mode not in MODES:
         return f"mode = {steering.mode!r}, must be one of {', '.join(MODES)}"
     pair = steering.limiting_pair

@@ -35,9 +35,10 @@ class Delay:
         self._period_s = cell.period_s
         self._dofs = np.concatenate([arm.dofs for arm in cell.arms])
         self._positions = np.concatenate([arm.qpos for arm in cell.arms])
-        self._commands = np.zeros((self._late + MOST_LOST + 1, cell.model.nv))
-        """The last one at the end."""
-        self._seen: tuple[Array, Array] | None = None
+        self._commands = np.zeros((self._late + MOST_LOST + 2, cell.model.nv))
+        """A ring."""
+        self._newest = 0
+        self._seen: tuple[bytes, bytes] | None = None
         self._lost = 0
 
     def now(self, qpos: Array, qvel: Array, last: Array) -> tuple[Array, Array]:
@@ -51,22 +52,17 @@ class Delay:
             (nq,) and (nv,): the same arrays where nothing is late.
         """
         commands = self._commands
-        commands[:-1] = commands[1:]
-        commands[-1] = last
-        if self._seen is None or not self._again(qpos, qvel):
-            self._seen, self._lost = (qpos, qvel), 0
-        else:
-            self._lost = min(self._lost + 1, MOST_LOST)
+        self._newest = newest = (self._newest + 1) % len(commands)
+        commands[newest] = last
+        seen = qpos.tobytes(), qvel.tobytes()
+        self._lost = min(self._lost + 1, MOST_LOST) if seen == self._seen else 0
+        self._seen = seen
         age = self._late + self._lost
         if not age:
             return qpos, qvel
+        since = (newest - np.arange(age)[::-1]) % len(commands)
+        before = commands[(newest - age) % len(commands), self._dofs]
         qpos, qvel = qpos.copy(), qvel.copy()
-        qpos[self._positions] += self._period_s * commands[-age:, self._dofs].sum(axis=0)
-        qvel[self._dofs] += commands[-1, self._dofs] - commands[-1 - age, self._dofs]
+        qpos[self._positions] += self._period_s * commands[since][:, self._dofs].sum(axis=0)
+        qvel[self._dofs] += commands[newest, self._dofs] - before
         return qpos, qvel
-
-    def _again(self, qpos: Array, qvel: Array) -> bool:
-        """Whether this is the state before once more."""
-        assert self._seen is not None
-        before, before_velocity = self._seen
-        return bool((qpos == before).all()) and bool((qvel == before_velocity).all())

@@ -40,7 +40,7 @@ class Sensing:
         self.belief.update()
         data = self.belief.data
         # MuJoCo's arrays never move; asking for them anew each tick takes as long as using them.
-        self._site_xmat, self._qvel = data.site_xmat, data.qvel
+        self._site_xmat, self._qpos, self._qvel = data.site_xmat, data.qpos, data.qvel
         self._frames = data.site_xpos, data.cvel, data.subtree_com
         self._delay = Delay(cell)
         self._still = np.zeros(cell.model.nv)
@@ -76,8 +76,8 @@ class Sensing:
         told_qpos, told_qvel = qpos, qvel
         qpos, qvel = self._delay.now(qpos, qvel, last_rad_s)
         belief, watched = self.belief, self.watched
-        self._qvel[:] = qvel
-        belief.update(qpos)
+        self._qpos[:], self._qvel[:] = qpos, qvel
+        belief.update()
         mujoco.mj_comVel(self._model, belief.data)
         mujoco.mj_sensorPos(self._model, belief.data)
         proximity = self.proximity = self._geometry.measure(belief.data, kept=True)

@@ -21,6 +21,7 @@ from workcell.control.strategies.ttc import OperatorStrategy
 from workcell.control.strategy import ArmView, CellView, StrategySetup
 from workcell.control.tick import Steering
 from workcell.guard.halt import brake
+from workcell.scenario import Control
 from workcell.scene.addresses import ArmAddresses
 from workcell.scene.cell import Cell
 
@@ -45,6 +46,8 @@ class Strategies:
         self._names = {arm.name: strategy_of(cell, arm.name) for arm in cell.arms}
         self._together: Any = None
         self._answers: dict[str, Steering] = {}
+        self._settings: Control | None = None
+        self._built_in: dict[str, bool] = {}
         self._each: dict[str, Any] = {}
         common = plugins.load("strategies", cell.scenario.control.strategy)
         if hasattr(common, "steer_all"):
@@ -88,21 +91,30 @@ class Strategies:
         """The answer of the arm's strategy; braking once it has lost its turn."""
         if arm.name in self._lost:
             return braking(view, FAULT)
-        name, pairs = self._names[arm.name], len(view.distance_m)
-        built_in = plugins.is_built_in("strategies", name) and plugins.is_built_in(
-            "criteria", arm.criterion.name(view.settings)
-        )
-
-        def answer() -> Steering:
-            if self._together is not None:
-                return self._answers[arm.name]
-            return self._each[arm.name].steer(view)
-
+        name = self._names[arm.name]
+        answer = self._together_for if self._together is not None else self._each[arm.name].steer
         try:
-            return ask(name, arm.name, answer, n=len(view.dofs), pairs=pairs, timed=not built_in)
+            return ask(
+                name, arm.name, answer, view, timed=not self._is_built_in(arm, name, view.settings)
+            )
         except StrategyFault as fault:
             self._lose([arm.name], str(fault))
             return braking(view, FAULT)
+
+    def _together_for(self, view: ArmView) -> Steering:
+        """The answer of a strategy of the whole cell for one arm."""
+        return self._answers[view.name]
+
+    def _is_built_in(self, arm: ControlledArm, name: str, settings: Control) -> bool:
+        """Whether nothing from outside answers for an arm; looked up anew when settings change."""
+        if settings is not self._settings:
+            self._settings, self._built_in = settings, {}
+        found = self._built_in.get(arm.name)
+        if found is None:
+            found = self._built_in[arm.name] = plugins.is_built_in(
+                "strategies", name
+            ) and plugins.is_built_in("criteria", arm.criterion.name(settings))
+        return found
 
     def _lose(self, arms: list[str], fault: str) -> None:
         self._lost.update(arms)

@@ -100,12 +100,9 @@ class PathGeometry:
             return standing(*self.pose(s_m))
         value, slope = self._table.value_and_slope(s_m)
         wxyz = unit(value[3:])
-        return Target(
-            np.array(value[:3]),
-            np.array(wxyz),
-            np.array([speed_m_s * part for part in slope[:3]]),
-            np.array([speed_m_s * part for part in angular_velocity(wxyz, slope[3:])]),
-        )
+        motion = [*slope[:3], *angular_velocity(wxyz, slope[3:])]
+        told = np.array([*value[:3], *wxyz, *(speed_m_s * part for part in motion)])
+        return Target(told[:3], told[3:7], told[7:10], told[10:])
 
     def bend(self, s_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N,) how much the slope changes along the curve at evenly spaced lengths, turning counted as length, 1/m.
