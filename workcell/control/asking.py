@@ -19,7 +19,6 @@ import numpy as np
 from workcell.control import laws
 from workcell.control.finite import all_finite
 from workcell.control.outcome import MODES
-from workcell.control.strategy import ArmView
 from workcell.control.tick import Steering
 from workcell.errors import ControlFault, WorkcellError
 
@@ -37,7 +36,7 @@ class StrategyFault(WorkcellError):
 
 
 def ask(
-    name: str, arm: str, answer: Callable[[ArmView], Steering], view: ArmView, *, timed: bool
+    name: str, arm: str, answer: Callable[[], Steering], *, n: int, pairs: int, timed: bool
 ) -> Steering:
     """A strategy's answer, checked.
 
@@ -45,7 +44,8 @@ def ask(
         name: Of the strategy, for the message.
         arm: Whose.
         answer: Calls the strategy.
-        view: What it is given.
+        n: Joints of the arm.
+        pairs: Watched pairs of the cell.
         timed: Whether to interrupt a strategy that hangs; built-in ones do not.
 
     Raises:
@@ -54,16 +54,16 @@ def ask(
     try:
         if timed:
             with _time_limit():
-                steering = answer(view)
+                steering = answer()
         else:
-            steering = answer(view)
+            steering = answer()
     except ControlFault:
         raise  # the state itself is broken, which is not the strategy's fault
     except Exception as error:
         raise StrategyFault(
             f"strategy {name!r} of arm {arm} raised {type(error).__name__}: {error}"
         ) from error
-    wrong = _wrong(steering, len(view.dofs), len(view.distance_m))
+    wrong = _wrong(steering, n, pairs)
     if wrong:
         raise StrategyFault(f"strategy {name!r} of arm {arm} answered with {wrong}")
     return steering

@@ -92,18 +92,18 @@ class Strategies:
         if arm.name in self._lost:
             return braking(view, FAULT)
         name = self._names[arm.name]
-        answer = self._together_for if self._together is not None else self._each[arm.name].steer
+
+        def answer() -> Steering:
+            if self._together is not None:
+                return self._answers[arm.name]
+            return self._each[arm.name].steer(view)
+
+        timed, pairs = not self._is_built_in(arm, name, view.settings), len(view.distance_m)
         try:
-            return ask(
-                name, arm.name, answer, view, timed=not self._is_built_in(arm, name, view.settings)
-            )
+            return ask(name, arm.name, answer, n=len(view.dofs), pairs=pairs, timed=timed)
         except StrategyFault as fault:
             self._lose([arm.name], str(fault))
             return braking(view, FAULT)
-
-    def _together_for(self, view: ArmView) -> Steering:
-        """The answer of a strategy of the whole cell for one arm."""
-        return self._answers[view.name]
 
     def _is_built_in(self, arm: ControlledArm, name: str, settings: Control) -> bool:
         """Whether nothing from outside answers for an arm; looked up anew when settings change."""

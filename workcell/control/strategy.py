@@ -105,11 +105,6 @@ class ArmView:
     # ---------------------------------------------------------------- the arm and its limits
 
     @property
-    def name(self) -> str:
-        """Of the arm."""
-        return self._arm.name
-
-    @property
     def limits(self) -> ArmAddresses:
         """Addresses and joint limits."""
         return self._arm.addresses
