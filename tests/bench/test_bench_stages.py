@@ -18,7 +18,7 @@ from tests.bench.conftest import Stopwatch, drive, timed
 from workcell import run as runner
 from workcell import scenario as scenario_file
 from workcell.control import controller, sensing
-from workcell.control.arm_constraints import ArmConstraints, Watched
+from workcell.control.arm_constraints import ArmConstraints
 from workcell.control.controller import Controller
 from workcell.control.ik import ArmIk
 from workcell.control.laws import arithmetic
@@ -27,6 +27,7 @@ from workcell.control.passage import Passage
 from workcell.control.proximity import PairGeometry
 from workcell.control.second_order import second_order
 from workcell.control.setpoints import Setpoints
+from workcell.control.watched import Watched
 from workcell.scene import cell as scene
 from workcell.trace.writer import TraceWriter
 

@@ -13,8 +13,9 @@ from tests.control.oracles import rule
 from tests.control.oracles.arm import ArmOracle
 from workcell import scenario
 from workcell.control import criteria
-from workcell.control.arm_constraints import HYPOTHESES, ArmConstraints, ArmPairs, Rates, Watched
+from workcell.control.arm_constraints import ArmConstraints, ArmPairs
 from workcell.control.ik import OPTIMAL, ArmIk
+from workcell.control.watched import HYPOTHESES, Rates, Watched
 from workcell.errors import WorkcellError
 from workcell.motion.path import standing
 from workcell.scene import cell as scene
@@ -56,7 +57,8 @@ class Bench:
         watched.rate_m_s[...] = watched.jacobian @ random.normal(0, 0.2, nv)
         moved, averaged, owned = (np.flatnonzero(random.random(pairs) < p) for p in (0.9, 0.6, 0.5))
         self.ik = ArmIk(self.arm, nv=nv, dt_s=0.002, task_gain_per_s=10.0, criterion_gain=8.0)
-        self.constraints = watched.constrain(
+        self.constraints = ArmConstraints(
+            watched,
             self.ik,
             self.belief,
             ArmPairs(moved, averaged, owned, random.random(len(owned)) < 0.2),
@@ -231,8 +233,8 @@ def test_a_cell_without_pairs(cell):
     ik = ArmIk(cell.arms[1], nv=nv, dt_s=0.002, task_gain_per_s=10.0, criterion_gain=8.0)
     belief = mink.Configuration(cell.model)
     none = np.zeros(0, dtype=np.intp)
-    constraints = watched.constrain(
-        ik, belief, ArmPairs(none, none, none, np.zeros(0, dtype=bool)), support=True
+    constraints = ArmConstraints(
+        watched, ik, belief, ArmPairs(none, none, none, np.zeros(0, dtype=bool)), support=True
     )
     assert isinstance(constraints, ArmConstraints)
     assert state_of(constraints, belief.data, approaching=False)[2][1:] == (0.0, 0.0)

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from workcell.control.arm import ControlledArm
-from workcell.control.arm_constraints import Watched
 from workcell.control.finite import all_finite, require_finite
 from workcell.control.record import ArmRecord, TickRecord
 from workcell.control.tick import ArmTick, Sensed
+from workcell.control.watched import Watched
 from workcell.guard.verdict import Verdict
 
 MODES = ("run", "self_motion", "scale", "yield", "hold", "halt", "stop")

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
-from workcell.control.arm_constraints import ArmPairs, Watched
+from workcell.control.arm_constraints import ArmConstraints, ArmPairs
 from workcell.control.grasp import Grasps
+from workcell.control.watched import Watched
 from workcell.motion.jobs import Meeting
 from workcell.scene.cell import Cell
 
@@ -18,7 +19,9 @@ def assign(cell: Cell, grasps: Grasps, watched: Watched, arms: Sequence[Controll
     """Give each arm its part of the pairs, as the instruments are held now."""
     watched.inactive[...] = inactive_pairs(cell, grasps)
     for arm, pairs in zip(arms, assigned(cell, grasps), strict=True):
-        arm.constraints = watched.constrain(arm.ik, arm.configuration, pairs, support=arm.support)
+        arm.constraints = ArmConstraints(
+            watched, arm.ik, arm.configuration, pairs, support=arm.support
+        )
 
 
 def inactive_pairs(cell: Cell, grasps: Grasps) -> NDArray[np.bool_]:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
-from workcell.control.arm_constraints import Watched
 from workcell.control.tick import ArmSetpoint
+from workcell.control.watched import Watched
 
 
 def predict(watched: Watched, arm: ControlledArm, setpoint: ArmSetpoint) -> None:

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.arm import ControlledArm
-from workcell.control.arm_constraints import Watched
 from workcell.control.delay import Delay
 from workcell.control.finite import require_finite
 from workcell.control.grasp import Grasps
 from workcell.control.proximity import PairGeometry, Proximity
 from workcell.control.second_order import second_order
 from workcell.control.tick import ArmSensed, Sensed
+from workcell.control.watched import Watched
 from workcell.scenario import Control
 from workcell.scene.cell import Cell
 

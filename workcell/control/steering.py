@@ -15,11 +15,11 @@ import numpy as np
 
 from workcell import plugins
 from workcell.control.arm import ControlledArm
-from workcell.control.arm_constraints import Watched
 from workcell.control.asking import StrategyFault, ask
 from workcell.control.strategies.ttc import OperatorStrategy
 from workcell.control.strategy import ArmView, CellView, StrategySetup
 from workcell.control.tick import Steering
+from workcell.control.watched import Watched
 from workcell.guard.halt import brake
 from workcell.scenario import Control
 from workcell.scene.addresses import ArmAddresses
