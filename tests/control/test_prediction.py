@@ -9,6 +9,7 @@ import pytest
 from tests import cells
 from workcell.control import prediction
 from workcell.control.controller import Controller
+from workcell.control.laws import pair_rule
 from workcell.motion.path import Target
 from workcell.motion.setpoint import Setpoint
 
@@ -52,3 +53,34 @@ def test_no_hypothesis_asks_more_than_joints_can_do(tmp_path, monkeypatch, place
         assert (np.abs(seen[-1][2] - last) <= 2.0 * step).all()
         data.qvel[:] = record.command_rad_s
         mujoco.mj_integratePos(cell.model, data.qpos, np.asarray(data.qvel), cell.period_s)
+
+
+def test_room_that_may_be_taken_back_within_the_tick_is_not_counted_on():
+    """One joint of another arm opens a pair at 0.1 m/s as predicted; as last commanded 0.12, by 0.05 more or less."""
+    jacobian, other = np.array([[0.5], [-0.5]]), np.empty(2)
+    predicted, all_pairs, joint = np.array([[0.2], [0.24], [0.2]]), np.arange(2), np.array([0])
+
+    def counted(change_rad_s):
+        bad = pair_rule.predicted_rates(
+            jacobian, all_pairs, joint, predicted, np.array([change_rad_s]), other
+        )
+        assert bad == -1
+        return other.tolist()
+
+    assert counted(0.0) == pytest.approx(
+        [0.1, -0.12]
+    )  # as it is known: the least of what is predicted
+    assert counted(0.1) == pytest.approx([0.07, -0.12])
+    assert counted(1.0) == pytest.approx([0.0, -0.12])  # no more than standing is taken for granted
+
+
+def test_an_arm_that_has_its_command_takes_nothing_back(tmp_path):
+    cell = cells.build(tmp_path, cells.duet())
+    controller = Controller(cell)
+    watched, nurse = controller._sensing.watched, controller._arms[1]
+    prediction.predict(watched, nurse, None)  # a support arm's setpoint is not asked for
+    np.testing.assert_allclose(
+        watched.change_rad_s[nurse.dofs], cell.period_s * nurse.addresses.acceleration_limit_rad_s2
+    )
+    prediction.settle(watched, nurse, np.zeros(3))
+    assert not watched.change_rad_s.any()

@@ -161,6 +161,7 @@ class ArmConstraints:
             self._moved,
             self._foreign,
             self._hypotheses(static),
+            self.watched.change_rad_s,
             self.other_m_s,
         )
         if bad >= 0:
@@ -203,7 +204,7 @@ class ArmConstraints:
         settled = np.empty(space.n)
         code, culprit, rows, answer = program.arm_program(
             watched.jacobian, watched.distance_m, watched.rate_m_s, self._hypotheses(static),
-            self._foreign, self._moved, self._averaged, self._dof, self._task, self._qvel, kind,
+            watched.change_rad_s, self._foreign, self._moved, self._averaged, self._dof, self._task, self._qvel, kind,
             self.support, *wish, ik.criterion.gain, settings.t_min_s, settings.standoff_m,
             settings.d_min_m, ik.qpos, *ik.joints, self._before, ik.dt_s, ik.tool_rows,
             ik.tool_rates, ik.tool_count, self.other_m_s, self._rates, space.rows, space.bounds,

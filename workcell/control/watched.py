@@ -58,6 +58,8 @@ class Watched:
         """(P,) pairs that do not count now: an instrument against the hand that holds it."""
         self.hypotheses_rad_s = np.zeros((HYPOTHESES, nv))
         """(HYPOTHESES, nv) what each arm is predicted to do in this tick."""
+        self.change_rad_s = np.zeros(nv)
+        """(nv,) by how much it may yet do otherwise: what accelerations allow in a tick, 0 once it has its command."""
         self._owner = np.full(nv, -1, dtype=np.int64)
         for arm, own in enumerate(dofs):
             self._owner[own] = arm

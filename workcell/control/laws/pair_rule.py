@@ -52,14 +52,18 @@ def smallest_rates(distance, other, t_min, standoff, rate):
 
 
 @law
-def predicted_rates(jacobian, index, foreign, velocities, other):
+def predicted_rates(jacobian, index, foreign, velocities, change, other):
     """The rates that the other arms may cause: the least under any of their predicted velocities.
+
+    Opening is counted on only as far as the others' joints cannot take it back within the tick: an arm that makes
+    room may stop for what nobody predicts.
 
     Args:
         jacobian: G (P, nv).
         index: Pairs to work out.
         foreign: The joints of other arms.
-        velocities: (K, nv) predicted; with K = 0 the others stand.
+        velocities: (K, nv) predicted, the second as last commanded; with K = 0 the others stand.
+        change: (nv,) by how much each joint's velocity may yet change in this tick; 0 where it is known.
         other: (P,) written at these pairs.
 
     Returns:
@@ -75,6 +79,14 @@ def predicted_rates(jacobian, index, foreign, velocities, other):
                 return pair
             if way == 0 or total < least:
                 least = total
+        if least > 0.0:
+            last = velocities[min(1, len(velocities) - 1)]
+            sure = 0.0
+            for joint in foreign:
+                sure += (
+                    jacobian[pair, joint] * last[joint] - abs(jacobian[pair, joint]) * change[joint]
+                )
+            least = max(0.0, min(least, sure))
         other[pair] = least
     return -1
 

@@ -86,7 +86,7 @@ def constrain(
 
 @law
 def arm_program(
-    jacobian, distance, rate, velocities, foreign, moved, averaged, dof, task, qvel, kind, own_rates,
+    jacobian, distance, rate, velocities, change, foreign, moved, averaged, dof, task, qvel, kind, own_rates,
     push_hessian, push, gain, t_min, standoff, d_min, qpos, address, lower_rad, upper_rad, fastest, acceleration,
     previous, period, tool_rows, tool_rates, tool, other, work, rows, bounds, smallest, largest, H, c,
     lower, upper, sense, addresses, problem, result, x, tolerance, settled,
@@ -95,7 +95,7 @@ def arm_program(
 
     Args:
         jacobian, distance, rate: G (P, nv), d (P,), d' (P,).
-        velocities: (K, nv) predicted of the other arms; see `pair_rule.predicted_rates`.
+        velocities, change: (K, nv), (nv,) predicted of the other arms; see `pair_rule.predicted_rates`.
         foreign: Their joints.
         moved: Pairs that the arm moves.
         averaged: Pairs of the criterion.
@@ -117,7 +117,7 @@ def arm_program(
     Returns:
         A code with the pair or joint that it is about, how many pairs have rows, and the solver's answer.
     """
-    bad = predicted_rates(jacobian, moved, foreign, velocities, other)
+    bad = predicted_rates(jacobian, moved, foreign, velocities, change, other)
     if bad >= 0:
         return PAIR_NOT_FINITE, bad, 0, NO_ANSWER
     closing = rate
