@@ -185,6 +185,9 @@ def test_what_stands_is_not_closed_on_for_the_sake_of_what_another_arm_presses()
         rows=np.array([[-1.0, 0.0], [1.0, 1.0]]),
         levers=np.ones((2, 2)),
         low_m=np.array([0.05, 0.2]),
+        jump=np.empty((0, 2)),
+        jump_farther_m=np.empty(0),
+        jump_pair=np.empty(0, dtype=np.intp),
     )
     limits = JointLimits(*(np.full(2, x) for x in (-9.0, 9.0, 1.0, 1.0, np.inf)))
     still, last = np.zeros(2), np.array([0.06, -0.2])

@@ -36,6 +36,7 @@ from workcell.control.gate.data import (
     JointLimits,
     JointState,
 )
+from workcell.control.gate.ends import RATE_SLACK_M_S, needed_at_ends
 from workcell.control.gate.program import SOFT, Rows, nearest
 from workcell.control.laws import gate as laws
 from workcell.control.laws import gate_box
@@ -45,8 +46,6 @@ CLEARANCE_M = 0.5e-3
 """A stop is verified where it leaves this, or half of the distance there is; chosen well above rounding."""
 CUT_M = 1e-5
 """What a cut of the program asks for beyond the clearance, so that its answer passes in spite of the bound's curvature."""
-RATE_SLACK_M_S = 1e-5
-"""Rates are known up to the solvers' tolerances: ten micrometres a second, 0.1 % of the slowest rate that matters, d_min / t_min."""
 REST_SLACK_M_S = 1e-4
 """The same at d_min, where an arm that starts to leave is first moved by the last digits of its tool error."""
 SPEED_SLACK = 1e-6
@@ -150,6 +149,8 @@ class _Gate:
     links: GateLinks | None
     box: Array = field(init=False)
     bounds: NDArray[np.int64] = field(init=False)
+    at_ends: Array = field(init=False)
+    """(K,) smallest rates at the ends of near-parallel capsules."""
     demands: tuple[Array, Array, Array] = field(init=False)
     """Needed rates (P,), their slack (P,), clearances of stops (E,): `laws.demands`."""
 
@@ -195,6 +196,7 @@ class _Gate:
             self.box,
             self.bounds,
         )
+        self.at_ends = needed_at_ends(rows, limits, rules, self.meeting)
         P = len(rows.distance_m)
         self.demands = np.empty(P), np.empty(P), np.empty(len(rows.low_m))
         laws.demands(
@@ -232,6 +234,10 @@ class _Gate:
             short,
             lack,
         )
+        if len(rows.jump):
+            missed = rows.jump @ -y + self.at_ends - RATE_SLACK_M_S
+            np.maximum.at(short, rows.jump_pair, missed)
+            passes = passes and bool((missed <= 0.0).all())
         if self.links is None:
             return _Look(passes, short, lack, _NOTHING)
         over = self.links.speeds_m_s(y) - self.rules.point_speed_m_s * (1.0 + SPEED_SLACK)
@@ -247,6 +253,8 @@ class _Gate:
         most = np.abs(self.rows.own) @ np.maximum(np.abs(low), np.abs(high))
         asked, alone = self.demands[0], self._alone()
         first, pressed = alone > -most, (asked > -most) & (self.other_m_s < 0.0)
+        own = np.concatenate([self.rows.own[first], self.rows.jump])
+        alone = np.concatenate([alone[first], self.at_ends])
         cuts = Rows(
             self.rows.own[pressed],
             asked[pressed],
@@ -254,7 +262,7 @@ class _Gate:
         )
         for _ in range(ROUNDS):
             cuts = cuts.and_these(self._cuts(y, look))
-            found = nearest(command, low, high, self.rows.own[first], alone[first], cuts)
+            found = nearest(command, low, high, own, alone, cuts)
             if found is None:
                 break
             y = found.clip(low, high)

@@ -78,6 +78,12 @@ class GateRows:
     """(E, n) R: how far each joint moves each point."""
     low_m: Array
     """(E,) m: distance of each point from that plane."""
+    jump: Array
+    """(K, n) rates at the ends of near-parallel capsules, to which nearest points may jump (`laws.gate_ends`); K may be 0."""
+    jump_farther_m: Array
+    """(K,) how much farther away than the nearest points each end is."""
+    jump_pair: NDArray[np.intp]
+    """(K,) whose it is, of the P."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.gate.data import GateLinks, GateRows
-from workcell.control.laws import gate_points
+from workcell.control.laws import gate_ends, gate_points
 from workcell.control.proximity import Proximity
 
 _GEOM = mujoco.mjtGeom
@@ -78,6 +78,8 @@ class GateGeometry:
             np.array(sign, dtype=float).reshape(-1, n),
         )
         """Arguments `pairs` to `sign` of `laws.gate_points.end_rows`."""
+        self.capsules = _capsules(model, np.asarray(pairs), self.pair, geom)
+        """Arguments `against`, `half` and `radii` of `laws.gate_ends.jump_rows`."""
         self.outline = _outline(model, sorted(set(geom)), lambda g: self._chain(model, g, held), n)
         """Geom, moving joints, radius and place of the corners of the arm's geoms, as in `laws.gate_points.point_speeds`."""
 
@@ -112,7 +114,34 @@ class GateGeometry:
             levers,
             low,
         )
-        return GateRows(self.pair, near, own, self.first, self.order, rows, levers, low)
+        jump = np.empty((4 * P, n)), np.empty(4 * P), np.empty(4 * P, dtype=np.intp)
+        _, _, geom, _, _, _, order, sign = self.pairs
+        ends = gate_ends.jump_rows(
+            data.cdof[self.dofs],
+            data.subtree_com[self.roots],
+            data.geom_xpos,
+            data.geom_xmat,
+            near,
+            geom,
+            *self.capsules,
+            order,
+            sign,
+            np.inf,
+            *jump,
+        )
+        return GateRows(
+            self.pair,
+            near,
+            own,
+            self.first,
+            self.order,
+            rows,
+            levers,
+            low,
+            jump[0][:ends],
+            jump[1][:ends],
+            jump[2][:ends],
+        )
 
     def links(self, data: mujoco.MjData) -> GateLinks:
         """The corners of the arm's own geoms at the configuration of `data`, after `mj_comPos`."""
@@ -133,6 +162,23 @@ class GateGeometry:
             above.update(range(start, start + int(model.body_dofnum[body])))
             body = int(model.body_parentid[body])
         return [k for k in range(len(self.dofs) - 1, -1, -1) if int(self.dofs[k]) in above]
+
+
+def no_ends(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """`GateRows.jump` and what follows where no capsules are near-parallel, for n joints."""
+    return np.empty((0, n)), np.empty(0), np.empty(0, dtype=np.intp)
+
+
+def _capsules(
+    model: mujoco.MjModel, pairs: NDArray[np.intp], numbers: NDArray[np.intp], own: list[int]
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+    """(P,) other geom, (P, 2) half lengths of both axes, -1 where there is none, and (P,) sum of the radii."""
+    both = pairs[numbers].reshape(-1, 2).astype(np.intp)
+    against = np.where(both[:, 0] == np.array(own, dtype=np.intp), both[:, 1], both[:, 0])
+    geoms = np.stack([np.array(own, dtype=np.intp), against], axis=1)
+    capsule = model.geom_type[geoms] == _GEOM.mjGEOM_CAPSULE
+    half = np.where(capsule, model.geom_size[geoms, 1], -1.0)
+    return against, half, model.geom_size[geoms, 0].sum(axis=1)
 
 
 def _outline(

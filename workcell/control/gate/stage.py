@@ -6,6 +6,7 @@ command passes as it is; `laws.gate.passes` says so in a tenth of the time that 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -14,8 +15,10 @@ from numpy.typing import NDArray
 
 from workcell.control.gate import answer
 from workcell.control.gate.data import Array, Gated, GateRows, GateRules, JointLimits, JointState
-from workcell.control.gate.rows import GateGeometry
+from workcell.control.gate.ends import RATE_SLACK_M_S, missed_at_ends
+from workcell.control.gate.rows import GateGeometry, no_ends
 from workcell.control.laws import gate as laws
+from workcell.control.laws import gate_ends
 from workcell.control.proximity import Proximity
 
 
@@ -41,14 +44,16 @@ class ArmGate:
         low, clearance, lack = np.zeros((3, E))
         own, rows, levers = np.zeros((P, n)), np.zeros((E, n)), np.zeros((E, n))
         self._rows = GateRows(
-            geometry.pair, near, own, geometry.first, geometry.order, rows, levers, low
+            geometry.pair, near, own, geometry.first, geometry.order, rows, levers, low, *no_ends(n)
         )
         self._rest = rest
         self._out = (
             np.zeros((n, 6)), np.zeros((n, 3)), near, own, rows, levers, low, np.zeros((2, n)),
             np.zeros((2, n), dtype=np.int64), rest, needed, slack, clearance, short, lack, np.zeros(C),
         )  # fmt: skip
+        self._jump = np.zeros((4 * P, n)), np.zeros(4 * P), np.zeros(4 * P, dtype=np.intp)
         self._bound: tuple[Any, ...] = ()
+        self._ends: tuple[Any, ...] = ()
         self._data: mujoco.MjData | None = None
         self._proximity: Proximity | None = None
 
@@ -82,20 +87,30 @@ class ArmGate:
         self._last[...], self._last_change[...] = state.last, state.last_change
         self._low[...], self._high[...] = state.ahead_low, state.ahead_high
         limits, geometry = self._limits, self._geometry
-        if laws.passes(
+        kept = laws.passes(
             self._command, self._position, self._last, self._last_change, self._low, self._high,
             limits.lower, limits.upper, limits.speed, limits.acceleration, limits.jerk,
             rules.period_s, rules.reaction_s, rules.t_min_s, rules.d_min_m, rules.standoff_m,
-            rules.hold_m, answer.RATE_SLACK_M_S, answer.REST_SLACK_M_S, answer.CLEARANCE_M,
+            rules.hold_m, RATE_SLACK_M_S, answer.REST_SLACK_M_S, answer.CLEARANCE_M,
             rules.point_speed_m_s * (1.0 + answer.SPEED_SLACK), *self._bound, self.meeting,
             self._counted, other_m_s, *geometry.outline, *self._out,
-        ):  # fmt: skip
+        )  # fmt: skip
+        jump = self._jump
+        ends = gate_ends.jump_rows(*self._ends, rules.point_speed_m_s * rules.t_min_s, *jump)
+        rows = self._rows
+        if ends:
+            rows = replace(
+                rows, jump=jump[0][:ends], jump_farther_m=jump[1][:ends], jump_pair=jump[2][:ends]
+            )
+        if kept and (
+            not ends or not missed_at_ends(self._command, rows, limits, rules, self.meeting).any()
+        ):
             return Gated(command, "passed")
         return answer.gate(
             command,
             state,
             limits,
-            self._rows,
+            rows,
             rules,
             other_m_s=self._rest,
             meeting=self.meeting,
@@ -110,4 +125,9 @@ class ArmGate:
             geometry.dofs, geometry.roots, data.cdof, data.subtree_com, data.geom_xpos,
             data.geom_xmat, proximity.distance_m, proximity.normal, proximity.witness_i_m,
             proximity.witness_j_m, *geometry.pairs,
+        )  # fmt: skip
+        screws, centre, near = self._out[:3]
+        _, _, geom, _, _, _, order, sign = geometry.pairs
+        self._ends = (
+            screws, centre, data.geom_xpos, data.geom_xmat, near, geom, *geometry.capsules, order, sign,
         )  # fmt: skip
