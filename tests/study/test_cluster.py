@@ -14,6 +14,7 @@ import pytest
 from tests.study.staged import Here
 from tests.study.test_sweep import rows, scenario
 from workcell.errors import InputError
+from workcell.study import workers
 from workcell.study.sweep import Progress, plan, sweep
 from workcell.study.workers import pool
 
@@ -54,7 +55,8 @@ def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed(
     assert [row["status"] for row in rows(tmp_path / "there")] == ["ran"] * 6
 
 
-def test_an_address_where_nobody_answers_is_refused():
+def test_an_address_where_nobody_answers_is_refused(monkeypatch):
+    monkeypatch.setattr(workers, "ANSWER_S", 1.0)
     with (
         pytest.raises(InputError, match="no Dask scheduler answers"),
         pool(None, "tcp://127.0.0.1:9"),

@@ -59,6 +59,7 @@ def test_pairs_that_all_agree_bound_the_difference_of_rates():
     assert found.low == -found.high  # type: ignore[operator]
 
 
+@pytest.mark.long
 def test_the_interval_of_a_difference_of_rates_covers():
     """2000 experiments of 60 correlated pairs: the true difference is left out in at most 5 % of them."""
     rng = np.random.default_rng(1)

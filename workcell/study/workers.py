@@ -26,6 +26,10 @@ RUNS_PER_PROCESS = 200
 compiled model cannot add up, at a start-up cost (2 s) of 1 % of the shortest runs."""
 
 
+ANSWER_S = 10.0
+"""So long a Dask scheduler may take to answer."""
+
+
 class WorkerDied(WorkcellError):
     """The process that made a run ended before the run did (killed, out of memory, crashed)."""
 
@@ -153,7 +157,7 @@ def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
     """
     distributed = need("distributed", extra="cluster", what=f"--cluster {address}")
     try:
-        client = distributed.Client(address, timeout="10s")
+        client = distributed.Client(address, timeout=ANSWER_S)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"--cluster {address}: no Dask scheduler answers: {error}") from error
     with client:
