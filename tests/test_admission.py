@@ -31,6 +31,14 @@ def test_a_meeting_out_of_reach_is_refused_before_the_run(tmp_path):
     assert "is out of reach: the tool stays" in told
 
 
+def test_a_meeting_that_no_run_of_this_length_begins_is_not_judged(tmp_path):
+    content = cells.duet()
+    content["arm"][1]["job"].insert(0, {"kind": "wait", "duration_s": 2.0})
+    away = "arm.nurse.base_position_m=[-4.0, 0.0, 0.0]"
+    assert "arm.nurse.job.1 (meet)" in refusal(tmp_path, content, away, "simulation.duration_s=9.0")
+    admit(cells.load(tmp_path, content, away, "simulation.duration_s=1.9"), tmp_path / "short")
+
+
 def test_an_instrument_out_of_reach_is_refused_before_the_run(tmp_path):
     content = cells.duet()
     content["instrument"] = [{"name": "scalpel", "position_m": [3.0, 3.0, 0.5]}]

@@ -3,7 +3,7 @@
 Judged before the first tick. The place of a tool that moves is known only as it moves; such a job is refused where
 none of the places at which that tool is known to work can be reached. Only positions are judged, from
 several starts, with as much room as a held instrument and a presentation's distance give: a job that is refused
-here could not have been done.
+here could not have been done. A job that the run ends before is not refused.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ def _of_arm(
     tools: dict[str, NDArray[np.float64]],
 ) -> Iterator[str]:
     judged: set[tuple[str, float]] = set()
-    for index, job in enumerate(arm.job):
+    end_s = cell.scenario.simulation.duration_s
+    for index, (job, begins_s, here_m) in enumerate(_begins(arm, tools[arm.name])):
         found = _meets(cell, arm, job, tools)
         if found is None:
             continue
@@ -64,12 +65,44 @@ def _of_arm(
             continue
         judged.add((what, slack_m))
         left_m = min(_left_m(cell, addresses, place, slack_m) for place in places)
-        if left_m > slack_m:
+        way_m = 0.0
+        if here_m is not None:
+            way_m = max(0.0, min(float(np.linalg.norm(p - here_m)) for p in places) - left_m)
+        # Where the run ends before the tool could be as near as it comes, nobody sees a difference.
+        if left_m > slack_m and begins_s + _least_s(way_m, job) < end_s:
             at = ", ".join(f"{x:.3f}" for x in places[0])
             yield (
                 f"arm.{arm.name}.job.{index} ({job.kind}): {what} at ({at}) m is out of reach: the tool stays "
                 f"{left_m:.3f} m away; allowed is {slack_m:.3f} m"
             )
+
+
+def _begins(
+    arm: scenario.Arm, tool_m: NDArray[np.float64]
+) -> Iterator[tuple[scenario.Job, float, NDArray[np.float64] | None]]:
+    """Each job, the time before which it cannot begin, and where the tool then is; None where nobody knows yet."""
+    now_s, here_m = 0.0, tool_m
+    for job in arm.job:
+        yield job, now_s, here_m
+        if isinstance(job, scenario.Wait):
+            now_s += job.duration_s
+        elif isinstance(job, scenario.Move):
+            points_m = [np.array(point.position_m) for point in job.waypoints]
+            way_m = points_m if here_m is None else [here_m, *points_m]
+            length_m = float(np.linalg.norm(np.diff(way_m, axis=0), axis=1).sum())
+            now_s += _least_s(length_m, job)
+            here_m = way_m[-1]
+        else:
+            here_m = None
+
+
+def _least_s(length_m: float, job: scenario.Job) -> float:
+    """Time that a straight way takes from rest to rest within a job's speed and acceleration."""
+    if isinstance(job, scenario.Wait):
+        return 0.0
+    if length_m < job.speed_m_s**2 / job.acceleration_m_s2:
+        return 2.0 * float(np.sqrt(length_m / job.acceleration_m_s2))
+    return length_m / job.speed_m_s + job.speed_m_s / job.acceleration_m_s2
 
 
 def _meets(
