@@ -30,15 +30,3 @@ def needed_at_ends(
         needed,
     )
     return needed
-
-
-def missed_at_ends(
-    command: Array,
-    rows: GateRows,
-    limits: JointLimits,
-    rules: GateRules,
-    meeting: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """(K,) at which ends of near-parallel capsules a command (n,) closes too fast."""
-    needed = needed_at_ends(rows, limits, rules, meeting)
-    return ~(rows.jump @ command >= needed - RATE_SLACK_M_S)

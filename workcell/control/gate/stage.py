@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from workcell.control.gate import answer
 from workcell.control.gate.data import Array, Gated, GateRows, GateRules, JointLimits, JointState
-from workcell.control.gate.ends import RATE_SLACK_M_S, missed_at_ends
+from workcell.control.gate.ends import RATE_SLACK_M_S
 from workcell.control.gate.rows import GateGeometry, no_ends
 from workcell.control.laws import gate as laws
 from workcell.control.laws import gate_ends
@@ -52,6 +52,7 @@ class ArmGate:
             np.zeros((2, n), dtype=np.int64), rest, needed, slack, clearance, short, lack, np.zeros(C),
         )  # fmt: skip
         self._jump = np.zeros((4 * P, n)), np.zeros(4 * P), np.zeros(4 * P, dtype=np.intp)
+        self._jump_needed = np.zeros(4 * P)
         self._bound: tuple[Any, ...] = ()
         self._ends: tuple[Any, ...] = ()
         self._data: mujoco.MjData | None = None
@@ -96,16 +97,18 @@ class ArmGate:
             self._counted, other_m_s, *geometry.outline, *self._out,
         )  # fmt: skip
         jump = self._jump
-        ends = gate_ends.jump_rows(*self._ends, rules.point_speed_m_s * rules.t_min_s, *jump)
+        ends, ends_kept = gate_ends.ends_keep(
+            self._command, *self._ends, rules.point_speed_m_s * rules.t_min_s, *jump, self.meeting,
+            limits.acceleration, rules.t_min_s, rules.d_min_m, rules.standoff_m, RATE_SLACK_M_S,
+            self._jump_needed,
+        )  # fmt: skip
+        if kept and ends_kept:
+            return Gated(command, "passed")
         rows = self._rows
         if ends:
             rows = replace(
                 rows, jump=jump[0][:ends], jump_farther_m=jump[1][:ends], jump_pair=jump[2][:ends]
             )
-        if kept and (
-            not ends or not missed_at_ends(self._command, rows, limits, rules, self.meeting).any()
-        ):
-            return Gated(command, "passed")
         return answer.gate(
             command,
             state,

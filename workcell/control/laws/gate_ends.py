@@ -2,6 +2,7 @@
 
     jump_rows    a row for each end of either capsule of a pair, and how much farther away than the nearest points it is
     jump_needs   what the arm's own motion may close there
+    ends_keep    both for one command
 
 Symbols: n joints, P pairs, K rows.
 """
@@ -116,3 +117,28 @@ def jump_needs(
         for k in range(rows.shape[1]):
             brakes += abs(rows[e, k]) * deceleration[k]
         needed[e] = -math.sqrt(allowed * allowed + 2.0 * BRAKING_SHARE * brakes * farther[e])
+
+
+@law
+def ends_keep(
+    command, screws, centre, geom_position, geom_rotation, near, geom, against, half, radii, order,
+    sign, farthest, rows, farther, pair, meeting, deceleration, t_min, d_min, standoff, slack, needed,
+):  # fmt: skip
+    """How many ends there are, and whether a command (n,) closes none of them faster than it may, but for `slack` in m/s.
+
+    The other arguments are those of `jump_rows` and `jump_needs`; `needed` is (4 P,).
+    """
+    count = jump_rows(
+        screws, centre, geom_position, geom_rotation, near, geom, against, half, radii, order, sign,
+        farthest, rows, farther, pair,
+    )  # fmt: skip
+    jump_needs(
+        rows, farther[:count], pair, near, meeting, deceleration, t_min, d_min, standoff, needed
+    )
+    kept = True
+    for e in range(count):
+        rate = 0.0
+        for k in range(len(command)):
+            rate += rows[e, k] * command[k]
+        kept = kept and rate >= needed[e] - slack  # what is not a number is not kept
+    return count, kept
