@@ -21,6 +21,8 @@ away beyond it than the joints of any arm here need to brake for, 0.09 m."""
 BRAKING_SHARE = 0.5
 """Of the deceleration at an end that all joints together could give; the other half is the path's, and what G's own turning asks."""
 TOUCHING_M = 1e-9
+UNBOUNDED_M_S = -1e9
+"""A rate that no command falls short of."""
 
 
 @part
@@ -99,7 +101,8 @@ def jump_needs(
 
     The nearest points may be at one end now and at the other in the next tick, and the rate jumps with them. There it
     has to be -gap/t_min, whatever another arm does; g farther away it may be faster by what joints can brake on
-    that way: A x >= -√((gap/t_min)² + 2 a g), with a = `BRAKING_SHARE` Σ |A_k| a_k.
+    that way: A x >= -√((gap/t_min)² + 2 a g), with a = `BRAKING_SHARE` Σ |A_k| a_k. What is to meet is led together along its
+    path, where a tool slides past what it takes: there the rule holds at the nearest points alone.
 
     Args:
         rows, farther, pair: (K, n), (K,), (K,) of `jump_rows`.
@@ -111,7 +114,10 @@ def jump_needs(
     """
     for e in range(len(farther)):
         p = pair[e]
-        counted, _ = counted_distance(near[p], meeting[p], d_min, standoff)
+        if meeting[p]:
+            needed[e] = UNBOUNDED_M_S
+            continue
+        counted, _ = counted_distance(near[p], False, d_min, standoff)
         allowed = max(0.0, counted - standoff) / t_min
         brakes = 0.0
         for k in range(rows.shape[1]):
