@@ -77,10 +77,9 @@ def all_finite(array: NDArray[np.float64]) -> bool:
     """Whether every entry is finite, at a third of the cost of looking at each.
 
     Whatever is not finite makes the sum of squares so too. Numbers beyond 1e154 can as well; only
-    then are the entries looked at.
+    then are the entries looked at. (`vdot` does not warn of them, as `dot` does.)
     """
-    flat = array if array.ndim == 1 else array.reshape(-1)
-    return math.isfinite(flat.dot(flat)) or bool(np.isfinite(array).all())
+    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
 def alike(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

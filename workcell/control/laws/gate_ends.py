@@ -13,7 +13,7 @@ import math
 
 from workcell.control.laws import law, part
 from workcell.control.laws.gate_points import point_row
-from workcell.control.laws.pair_rule import counted_distance
+from workcell.control.laws.pair_rule import allowance, counted_distance
 
 PARALLEL = 0.3
 """Sine of the angle between two axes below which they are near-parallel: chosen so that an end of a link 0.3 m long is farther
@@ -118,7 +118,7 @@ def jump_needs(
             needed[e] = UNBOUNDED_M_S
             continue
         counted, _ = counted_distance(near[p], False, d_min, standoff)
-        allowed = max(0.0, counted - standoff) / t_min
+        allowed = max(0.0, allowance(counted, 0.0, t_min, standoff))
         brakes = 0.0
         for k in range(rows.shape[1]):
             brakes += abs(rows[e, k]) * deceleration[k]
