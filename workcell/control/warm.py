@@ -16,7 +16,12 @@ from workcell.control.ik import ArmIk
 from workcell.control.laws import cache_folder
 from workcell.control.laws.pair_rule import smallest_rates
 from workcell.control.laws.speed_scale import backing_factor
+from workcell.motion.path import standing
+from workcell.motion.setpoint import Setpoint
 from workcell.scene import cell as scene
+
+REACH_TICKS = 20
+"""After so many ticks a target far away is known to be out of reach."""
 
 
 def warm() -> Path:
@@ -32,12 +37,15 @@ def warm() -> Path:
     _public_laws()
     with tempfile.TemporaryDirectory() as temporary:
         for order in (1, 2):
-            loaded = scenario.load("handover", (f"control.order={order}",))
+            # A cap that the first motion exceeds, so that its rows are called, too.
+            slow = "control.point_speed_m_s=0.001"
+            loaded = scenario.load("handover", (f"control.order={order}", slow))
             cell = scene.build(loaded, Path(temporary) / str(order))
             belief = mink.Configuration(cell.model)
             cell.place_home(belief.data)
             Controller(cell).step(belief.data.qpos.copy(), np.zeros(cell.model.nv))
         _rare_programs(cell, belief)
+        _rare_ticks(cell, belief)
     return folder
 
 
@@ -53,6 +61,25 @@ def _public_laws() -> None:
     scaling.slow_near(pair, 0.0, 1.0)
     smallest_rates(pair, pair, 1.0, 0.0, np.empty(1))
     backing_factor(pair, pair)
+
+
+def _rare_ticks(cell: scene.Cell, belief: mink.Configuration) -> None:
+    """What a tick calls where the gate does not let a command pass, and where a target is out of reach."""
+    controller, still = Controller(cell), np.zeros(cell.model.nv)
+    for arm in cell.arms:
+        if arm.support:
+            controller.command({arm.name: 100.0 * arm.velocity_limit_rad_s})
+        else:
+            controller.drive(arm.name, _Away())
+    for _ in range(REACH_TICKS):
+        controller.step(belief.data.qpos.copy(), still)
+
+
+class _Away:
+    """A hand that is out of reach of any arm."""
+
+    def setpoint(self, time_s: float) -> Setpoint:
+        return Setpoint(standing(np.full(3, 100.0), np.array([1.0, 0.0, 0.0, 0.0])), "away")
 
 
 def _rare_programs(cell: scene.Cell, belief: mink.Configuration) -> None:
