@@ -129,6 +129,7 @@ def test_misfits_are_refused(run, tmp_path):
 def test_the_viewer_listens_to_this_machine_only(recording, monkeypatch, web):
     started = []
     monkeypatch.setattr(viewer.subprocess, "Popen", lambda command, **_: started.append(command))
+    monkeypatch.setenv("DISPLAY", ":0")
     viewer.open_viewer(recording, web=web)
     command = started[0]
     assert command[command.index("--bind") + 1] == "127.0.0.1"

@@ -1,11 +1,13 @@
 """The viewer is a new one, on ports of its own, and its address is clean."""
 
 import socket
+import sys
 from types import SimpleNamespace
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
+from workcell.errors import InputError
 from workcell.view import viewer
 from workcell.view.palette import ARM_COLOURS, COMMANDED, LIMIT, MEASURED
 
@@ -60,3 +62,13 @@ def test_curves_are_told_from_a_light_and_a_dark_ground(ground):
     """3 to 1 is what WCAG asks of graphics; the orange of an arm is a little lighter on white."""
     for colour in (MEASURED, COMMANDED, LIMIT, *ARM_COLOURS):
         assert contrast(colour, ground) > 2.8, colour
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have a display without a name")
+def test_without_a_display_the_window_is_refused_and_the_browser_is_named(tmp_path, monkeypatch):
+    rrd = tmp_path / "recording.rrd"
+    rrd.write_bytes(b"")
+    for name in viewer.DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match=r"there is no display .* --web"):
+        viewer.open_viewer(rrd)

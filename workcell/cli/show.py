@@ -10,6 +10,7 @@ import tyro
 from workcell.cli.extras import needs
 from workcell.cli.options import RunFolder
 from workcell.cli.terminal import FAILED, OK, stdout
+from workcell.errors import InputError
 
 
 def replay(
@@ -28,11 +29,16 @@ def replay(
         stdout.print(f"from another machine first: {viewer.ssh_command}", markup=False)
         stdout.print("Ctrl-C ends it", markup=False)
     try:
-        return OK if viewer.process.wait() == 0 else FAILED
+        ended = viewer.process.wait()
     except KeyboardInterrupt:
         # The viewer gets the same signal, and ends as well.
         viewer.process.wait()
         return OK
+    if ended and not web:
+        raise InputError(
+            f"the viewer's window ended with status {ended}; --web shows the recording in a browser"
+        )
+    return OK if ended == 0 else FAILED
 
 
 def describe(run: Path) -> str:

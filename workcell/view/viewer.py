@@ -6,17 +6,21 @@ recording that was sent to it would open among older ones, or in an older versio
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from workcell.errors import TraceError
+from workcell.errors import InputError, TraceError
 from workcell.trace.rerun_viewer import viewer_binary
 
 DATA_PORT, WEB_PORT = 9876, 9090
 """The ports that are taken where they are free: known ones are easier to forward."""
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+"""Environment variables of which one names a display on Linux."""
 HOST = "127.0.0.1"
 """Reachable from this machine only."""
 
@@ -58,9 +62,14 @@ def open_viewer(rrd: Path | str, *, web: bool = False) -> Viewer:
 
     Raises:
         TraceError: There is no such recording.
+        InputError: A window is wanted and there is no display.
     """
     if not Path(rrd).is_file():
         raise TraceError(f"{rrd}: no such recording")
+    if not web and sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
+        raise InputError(
+            f"there is no display ({', '.join(DISPLAYS)} are not set); --web shows the recording in a browser"
+        )
     data_port = free_port(DATA_PORT)
     web_port = free_port(WEB_PORT) if web else None
     command = [str(viewer_binary()), "--bind", HOST, "--port", str(data_port)]
