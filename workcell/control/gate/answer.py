@@ -197,12 +197,16 @@ class _Gate:
             self.bounds,
         )
         self.at_ends = needed_at_ends(rows, limits, rules, self.meeting)
-        P = len(rows.distance_m)
-        self.demands = np.empty(P), np.empty(P), np.empty(len(rows.low_m))
+        self.demands = self._demanded(self.other_m_s)
+
+    def _demanded(self, other_m_s: Array) -> tuple[Array, Array, Array]:
+        """Needed rates (P,), their slack (P,) and clearances of stops (E,), were all others to cause these rates (P,)."""
+        rows, rules, P = self.rows, self.rules, len(self.rows.distance_m)
+        demands = np.empty(P), np.empty(P), np.empty(len(rows.low_m))
         laws.demands(
             rows.distance_m,
             self.meeting,
-            self.other_m_s,
+            other_m_s,
             rows.first,
             rows.low_m,
             rules.t_min_s,
@@ -212,8 +216,9 @@ class _Gate:
             RATE_SLACK_M_S,
             REST_SLACK_M_S,
             CLEARANCE_M,
-            *self.demands,
+            *demands,
         )
+        return demands
 
     def _look(self, y: Array) -> _Look:
         state, rows = self.state, self.rows
@@ -251,7 +256,8 @@ class _Gate:
         low, high = self.box
         # The other rates hold wherever in the box the answer is.
         most = np.abs(self.rows.own) @ np.maximum(np.abs(low), np.abs(high))
-        asked, alone = self.demands[0], self._alone()
+        asked = self.demands[0]
+        alone = self._demanded(np.zeros_like(asked))[0]  # were all others to stand
         first, pressed = alone > -most, (asked > -most) & (self.other_m_s < 0.0)
         own = np.concatenate([self.rows.own[first], self.rows.jump])
         alone = np.concatenate([alone[first], self.at_ends])
@@ -270,29 +276,6 @@ class _Gate:
             if look.passes:
                 break
         return y, look
-
-    def _alone(self) -> Array:
-        """(P,) smallest own rates were all others to stand."""
-        rows, rules, P = self.rows, self.rules, len(self.rows.distance_m)
-        alone = np.empty(P)
-        laws.demands(
-            rows.distance_m,
-            self.meeting,
-            np.zeros(P),
-            rows.first,
-            rows.low_m,
-            rules.t_min_s,
-            rules.d_min_m,
-            rules.standoff_m,
-            rules.hold_m,
-            RATE_SLACK_M_S,
-            REST_SLACK_M_S,
-            CLEARANCE_M,
-            alone,
-            np.empty(P),
-            np.empty(len(rows.low_m)),
-        )
-        return alone
 
     def _cuts(self, y: Array, look: _Look) -> Rows:
         """What fails at y: stops hard, point speeds soft."""
