@@ -37,9 +37,10 @@ from workcell.control.gate.data import (
     JointState,
 )
 from workcell.control.gate.ends import RATE_SLACK_M_S, needed_at_ends
-from workcell.control.gate.program import SOFT, Rows, nearest
+from workcell.control.gate.program import Rows, nearest
 from workcell.control.laws import gate as laws
 from workcell.control.laws import gate_box
+from workcell.control.laws.program import HARD, SOFT
 from workcell.errors import WorkcellError
 
 CLEARANCE_M = 0.5e-3
@@ -299,7 +300,7 @@ class _Gate:
             )
             cuts.append(gradient[None])
             needs.append(look.lack_m[e] + CUT_M + gradient @ y)
-            marks.append(0)
+            marks.append(HARD)
         if self.links is not None:
             for c in np.flatnonzero(look.over_m_s > 0.0):
                 cuts.append(-self.links.gradient(int(c), y)[None])

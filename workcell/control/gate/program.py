@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workcell.control.gate.data import Array
+from workcell.control.laws.program import HARD, SOFT, UNBOUNDED
+from workcell.control.laws.quadprog import SOLVED
 
 MISS_SLACK_M_S = 1e-8
 """By how much more than the least a row may be missed: ten times the solver's tolerance."""
 LEAST_PULL = 1e-6
 """Of a program that is to miss its rows least: enough to have one answer."""
-SOFT = 8
-"""daqp's mark of a row that may be missed; 0 is that of one that may not."""
-_SOLVED = (1, 2)  # daqp's flags: optimal; optimal with a soft constraint missed
 
 
 class Rows(NamedTuple):
@@ -50,7 +49,7 @@ def nearest(
     Where the joints cannot keep them all, they are missed least, and only then what is soft counts. None where the hard
     cuts have no solution.
     """
-    hard = Rows(own, alone, np.zeros(len(own), dtype=np.intc))
+    hard = Rows(own, alone, np.full(len(own), HARD, dtype=np.intc))
     found = _solve(command, 1.0, low, high, hard.and_these(cuts))
     if found is not None or not len(own):
         return found
@@ -73,8 +72,8 @@ def _solve(command: Array, pull: float, low: Array, high: Array, rows: Rows) -> 
         pull * np.eye(n),
         -pull * command,
         np.ascontiguousarray(rows.A),
-        np.concatenate([high, np.full(len(rows.b), 1e30)]),
+        np.concatenate([high, np.full(len(rows.b), UNBOUNDED)]),
         np.concatenate([low, rows.b]),
         np.concatenate([np.zeros(n), rows.sense]).astype(np.intc),
     )
-    return found if flag in _SOLVED and np.isfinite(found).all() else None
+    return found if flag in SOLVED and np.isfinite(found).all() else None

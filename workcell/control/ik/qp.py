@@ -15,7 +15,6 @@ from workcell.control.laws import quadprog as laws
 
 SOLVER_TOLERANCE_RAD_S = 1e-9
 """How far a constraint may be missed; far below what an encoder sees."""
-_SOLVED, _SOLVED_SOFT = 1, 2  # daqp's exit flags: optimal; optimal with a soft constraint missed
 
 
 @dataclass(frozen=True)
@@ -108,6 +107,6 @@ def solution(program: Program) -> NDArray[np.float64] | None:
         program.sense,
         primal_tol=SOLVER_TOLERANCE_RAD_S,
     )
-    if flag not in (_SOLVED, _SOLVED_SOFT) or not all_finite(velocity):
+    if flag not in laws.SOLVED or not all_finite(velocity):
         return None
     return velocity

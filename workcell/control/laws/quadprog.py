@@ -23,7 +23,8 @@ CONSTRAINTS = 1
 """Which word of the problem says how many constraints there are (`DAQPProblem.m`)."""
 EXIT_FLAG = 8
 """Which word of the result says how the solver ended (`DAQPResult.exitflag`)."""
-_SOLVED, _SOLVED_SOFT = 1, 2  # daqp's exit flags: optimal; optimal with a soft constraint missed
+SOLVED = (1, 2)
+"""daqp's exit flags of an answer: optimal; optimal with a soft constraint missed."""
 
 
 def _call_interpreted(function: int, result: int, problem: int, settings: int) -> None:
@@ -69,7 +70,7 @@ def solve(addresses, problem, result, x, constraints, smallest, largest, toleran
         return NOT_ASKED
     problem[CONSTRAINTS] = constraints
     _call(addresses[0], addresses[1], addresses[2], addresses[3])
-    if result[EXIT_FLAG] not in (_SOLVED, _SOLVED_SOFT):
+    if result[EXIT_FLAG] not in SOLVED:
         return NO_ANSWER
     total = 0.0
     for value in x:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from workcell.control.ik.qp import Program, solution
+from workcell.control.laws.program import SOFT, UNBOUNDED
 from workcell.control.tick import Array
-
-_SOFT = 8  # daqp's mark of a constraint that is missed as little as need be
-_UNBOUNDED = 1e30  # daqp's infinity
 
 
 def least_squares(
@@ -36,7 +34,7 @@ def least_squares(
             np.ascontiguousarray(c),
             np.ascontiguousarray(rows),
             np.concatenate([low, needed_m_s]),
-            np.concatenate([high, np.full(k, _UNBOUNDED)]),
-            np.concatenate([np.zeros(len(low), np.intc), np.full(k, _SOFT, np.intc)]),
+            np.concatenate([high, np.full(k, UNBOUNDED)]),
+            np.concatenate([np.zeros(len(low), np.intc), np.full(k, SOFT, np.intc)]),
         )
     )
